@@ -46,7 +46,7 @@ bench-peers: .venv/.peers
 picture: .venv/.all
 	rm -rf .venv/picture
 	$(BIN)/taxeld-hil run demo --seed 3 --out .venv/picture/found
-	$(BIN)/taxeld-hil draw .venv/picture/found --moments --out docs/demo.png
+	$(BIN)/taxeld-hil draw .venv/picture/found --out docs/demo.png
 	$(BIN)/taxeld-hil run demo --seed $(SEED) --out .venv/picture/session
 	$(BIN)/python tests/pages.py examples/belief.ipynb .venv/picture
 

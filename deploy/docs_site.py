@@ -10,7 +10,11 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
 PAGES = {"README.md": "index.md", "CHANGELOG.md": "CHANGELOG.md"}
-FILES = ("examples/publish_pose.py", "examples/clients/subscribe.py", "examples/can0.toml")
+FILES = [
+    str(path.relative_to(ROOT))
+    for path in sorted(ROOT.glob("examples/**/*"))
+    if path.suffix in (".py", ".toml", ".json")
+]
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s]+)(#[^)]*)?\)")
 
 

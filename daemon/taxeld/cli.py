@@ -58,11 +58,11 @@ def _run(args: argparse.Namespace) -> int:
         received.stop_by(daemon.stop)
         actions: dict[int, Callable[[], None]] = {
             signal.SIGHUP: lambda: signals.reload(args.config, config, args.log_level),
-            signal.SIGUSR1: lambda: signals.dump(daemon.state()),
+            signal.SIGUSR1: lambda: signals.dump(daemon.publisher.state()),
         }
         daemon.run(lambda: received.serve(actions))
     if args.histogram:
-        text = json.dumps(daemon.latencies.as_cyclictest(), indent=1) + "\n"
+        text = json.dumps(daemon.publisher.latencies.as_cyclictest(), indent=1) + "\n"
         try:
             args.histogram.write_text(text, encoding="utf-8")
         except OSError as error:
@@ -207,7 +207,6 @@ def _ask(args: argparse.Namespace) -> int:
 
 
 def _prior(args: argparse.Namespace) -> dict[str, Any]:
-    """The keys of a request."""
     (x, y), (sx, sy, turn) = args.at, args.sd
     found = {"x": x, "y": y, "theta": args.yaw, "cov": [sx, sy, turn]}
     return found | {"weight": args.weight, "object": args.object}

@@ -70,11 +70,7 @@ OBEYED = frozenset(
 )
 # Commands of those that need running modules; to be told to be silent needs none.
 LATE = frozenset(
-    {
-        Command.SET_AUTO_SYNC,
-        Command.SET_AUTO_SYNC_PERIOD,
-        Command.MODULE_SET_CUT_SENSORS,
-    }
+    {Command.SET_AUTO_SYNC, Command.SET_AUTO_SYNC_PERIOD, Command.MODULE_SET_CUT_SENSORS}
 )
 
 

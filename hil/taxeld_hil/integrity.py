@@ -46,6 +46,27 @@ def is_misleading(p: ArrayLike, error_mm: ArrayLike, radius_mm: ArrayLike) -> Bo
     return is_sure(p) & (~is_found(error_mm) | is_beyond(error_mm, radius_mm))
 
 
+@dataclass(frozen=True)
+class Claims:
+    """Estimates (…,), held against the truth."""
+
+    p: Floats
+    radius_mm: Floats
+    error_mm: Floats  # nan: another object is touched
+
+    @property
+    def found(self) -> Bools:
+        return is_found(self.error_mm)
+
+    @property
+    def sure(self) -> Bools:
+        return is_sure(self.p)
+
+    @property
+    def misleading(self) -> Bools:
+        return is_misleading(self.p, self.error_mm, self.radius_mm)
+
+
 @dataclass(slots=True)
 class Stanford:
     """The counts of a diagram. Only estimates that are sure have a place in it."""

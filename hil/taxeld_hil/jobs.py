@@ -4,7 +4,6 @@ A job is a function and its arguments. Its result is JSON, kept in a file of its
 experiment cut short goes on where it stopped. The harness and the training both run theirs here.
 """
 
-import argparse
 import contextlib
 import hashlib
 import json
@@ -23,18 +22,17 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from taxeld.command_line import ONE_THREAD
 from taxeld.errors import SetupError
 
-OWN = "own"  # `--layout` of what a row is of without that option
 PATIENCE = "10s"  # longest wait for a Dask scheduler's answer
 NAME_LENGTH = 60  # characters of a job's name in its file's name; a key's hash tells jobs apart
-
-Prepare: TypeAlias = Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -56,33 +54,17 @@ class Job:
         return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
-def add_layouts(made: argparse.ArgumentParser, own: str) -> argparse.Action:
-    """Add the option `--layout`, which makes rows for each layout that it names."""
-    about = f"make rows for it, as skin.layout; may be repeated; '{OWN}': {own} (the default)"
-    return made.add_argument("--layout", action="append", metavar="LAYOUT", help=about)
-
-
-def layouts(given: Sequence[str] | None) -> list[str]:
-    """The layouts that `--layout` named, "" for OWN. A file that is absent is left out, with a line
-    on stderr.
-
-    Raises:
-        SetupError: none is left, or rows of two could not be told apart.
-    """
-    found: dict[str, str] = {}
-    for spec in given or [OWN]:
-        if spec == OWN or ":" in spec:
-            kept = "" if spec == OWN else spec
-        elif Path(spec).is_file():
-            kept = str(Path(spec).resolve())
-        else:
-            _say(f"--layout: there is no file {spec}: its rows are left out")
-            continue
-        if found.setdefault(layout_name(kept), kept) != kept:
-            raise SetupError(f"--layout: two are called {layout_name(kept)}; rename a file")
-    if not found:
-        raise SetupError("--layout: none of these files is there; name others, or none")
-    return list(found.values())
+@cache
+def code(decides: tuple[str, ...]) -> str:
+    """Hash of the files that decide a result, as this process first found them; `decides` are
+    patterns of their paths, which begin with a package."""
+    found = hashlib.sha256()
+    for pattern in decides:
+        package, _, inside = pattern.partition("/")
+        root = Path(str(resources.files(package)))
+        for path in sorted(root.glob(inside)):
+            found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()[:12]
 
 
 def layout_name(layout: str) -> str:
@@ -97,14 +79,13 @@ def run(
     workers: int = 2,
     dask: str = "",
     until: float = math.inf,
-    prepare: Prepare | None = None,
     describe: Callable[[Any], str] = lambda _: "",
 ) -> dict[str, Any]:
     """Results by job name; those that `memory`, a directory, holds are not run again.
 
     Each worker has one thread. With `dask`, the address of a running scheduler, the jobs run on its
     workers. No job begins after `until` (monotonic clock [s]); the result of a job that did not run
-    is None. A worker calls `prepare` before each job. `describe` writes a result for the line on
+    is None. `describe` writes a result for the line on
     stderr that follows each job. On an interrupt the results so far are kept and the interrupt goes
     on.
 
@@ -132,12 +113,12 @@ def run(
     if not dask and min(workers, len(todo)) <= 1:
         for job in todo:
             if time.monotonic() < until:
-                keep(job, _work(job, prepare))
+                keep(job, _work(job))
         return results
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")  # inherited by the workers
     with _on_dask(dask) if dask else _in_processes(min(workers, len(todo))) as (pool, places):
-        _run_all(todo, pool, places, until, prepare, keep)
+        _run_all(todo, pool, places, until, keep)
     return results
 
 
@@ -159,7 +140,6 @@ def _run_all(
     pool: Executor,
     places: Callable[[], int],
     until: float,
-    prepare: Prepare | None,
     keep: Callable[[Job, Any], None],
 ) -> None:
     """No more jobs are handed over than there are places, so that none begins after `until`."""
@@ -167,16 +147,14 @@ def _run_all(
     while True:
         while waiting and len(running) < places() and time.monotonic() < until:
             job = waiting.popleft()
-            running[pool.submit(_work, job, prepare)] = job
+            running[pool.submit(_work, job)] = job
         if not running:
             return
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             keep(running.pop(future), future.result())
 
 
-def _work(job: Job, prepare: Prepare | None) -> Any:
-    if prepare is not None:
-        prepare()
+def _work(job: Job) -> Any:
     return job.work(*job.arguments, *job.beside)
 
 

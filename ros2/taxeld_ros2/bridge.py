@@ -118,7 +118,6 @@ class Bridge:
             os.eventfd_write(self._wake, 1)
 
     def _step(self) -> None:
-        """Wait a moment, and pass on what has come."""
         self._poller.poll(STEP_MS)
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self._wake)
@@ -154,7 +153,6 @@ class Bridge:
         self._heard_s = time.monotonic()
 
     def _watch(self, now_s: float) -> None:
-        """Say whether a daemon is heard, and how it is."""
         silent = now_s - self._heard_s > SILENT_S
         if silent != self._is_silent and (silent or messages.ESTIMATE in self._last):
             self._is_silent, self._next_diagnostics_s = silent, -math.inf

@@ -107,8 +107,6 @@ def test_the_skin_behind_each_kind_of_adapter_is_brought_up_and_left_stopped_and
     skin.close()
     assert not skin.hub.ihb.auto_sync
     assert not skin.adapter.is_open
-    counters = skin.source.counters
-    assert (counters.refused, counters.silences, counters.noise) == (0, 0, 0)
 
 
 @kinds
@@ -140,8 +138,7 @@ def test_a_channel_that_another_process_closed_is_opened_again_and_said_once(
     assert source.waits_for.startswith(named)
     assert took_s + skin.scans(1) <= 1.0 + 2.0
     assert source.waits_for == ""
-    counters = source.counters
-    assert (counters.silences, counters.lost, counters.refused) == (1, 0, 0)
+    assert source.counters.lost == 0
     said = [(record.levelname, record.getMessage()) for record in caplog.records]
     assert [level for level, _ in said] == ["WARNING", "INFO"]
     assert said[1][1] == f"no longer: {said[0][1]}"
@@ -171,12 +168,13 @@ class QuietHub(VirtualIhb):
     ids=["drops requests", "is busy", "is quiet"],
 )
 def test_a_hub_that_takes_its_time_is_started_and_its_channel_is_not_opened_again(
-    opened: Opened, ihb: Callable[[], VirtualIhb], bus: bool
+    opened: Opened, ihb: Callable[[], VirtualIhb], bus: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     skin = opened(bus=bus)
     skin.hub.ihb = ihb()
     assert skin.scans() < 6.0
-    assert (skin.source.counters.silences, skin.source.counters.unsent) == (0, 0)
+    assert "its channel is opened again" not in caplog.text
+    assert skin.source.counters.unsent == 0
 
 
 @as_bus_and_as_line
@@ -198,7 +196,6 @@ def test_a_silent_adapter_is_asked_for_its_flags_and_they_are_said(
     skin.until(lambda: any(skin.source.bus.counts.values()))
     assert {fault: n for fault, n in skin.source.bus.counts.items() if n} == {kind: 1}
     assert (kind == "arbitration") != (BusFault(kind).line in skin.source.waits_for)
-    assert skin.source.counters.noise == 0
 
 
 @as_bus_and_as_line
@@ -214,17 +211,18 @@ def test_a_line_that_another_process_set_otherwise_is_set_right_again(
     form[3] |= termios.ICANON | termios.ECHO
     termios.tcsetattr(slave, termios.TCSANOW, form)
     skin.port.close_channel()
-    skin.until(lambda: skin.source.counters.silences == 1)
+    skin.until(lambda: bool(skin.source.waits_for))
     skin.scans()
 
 
 @as_bus_and_as_line
-def test_what_an_adapter_refuses_is_said_once_with_its_name_and_counted(
+def test_what_an_adapter_refuses_is_said_once_with_its_name(
     opened: Opened, bus: bool, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(BITRATES, 1_000_000, b"S9")  # Lawicel's knows no such
     skin = opened("lawicel", bus)
-    skin.until(lambda: skin.source.counters.refused >= 10)
+    turns = itertools.count()
+    skin.until(lambda: "refused S9" in caplog.text and next(turns) > 500)
     (line,) = [r.getMessage() for r in caplog.records if "refused S9" in r.getMessage()]
     assert line.startswith(
         f"source.channel: {skin.hub.device} refused S9 (it knows no such bit rate"
@@ -243,7 +241,7 @@ def test_remote_and_fd_frames_are_passed_over_and_counted(opened: Opened, bus: b
 
     skin.until(lambda: foreign() >= 5)
     skin.scans()
-    assert (foreign(), skin.source.counters.noise) == (5, 0)
+    assert foreign() == 5
 
 
 APART_S = 0.03  # time between the answers to lines that came together
@@ -302,11 +300,10 @@ def test_an_adapter_that_answers_late_is_opened_and_none_of_its_answers_is_taken
                 late.serve(now_s)
 
             # the skin is silent, so that the channel is opened twice
-            until(lambda: source.counters.silences == 1 and late.adapter.on_bus, turn)
+            until(lambda: source.waits_for and late.adapter.on_bus, turn)
             for _ in range(50):
                 turn()
             assert late.adapter.is_silent == listen_only
-        assert (source.counters.refused, source.counters.silences) == (0, 1)
         assert "refused" not in caplog.text
 
 

@@ -10,26 +10,30 @@ import pytest
 from taxeld.advice.advice import Advice, Approach
 from taxeld.config.file import parse
 from taxeld.model import se2
-from taxeld.pipeline.advising import CALM, Advising
+from taxeld.pipeline.advising import CALM, MOST, Advising
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
-from taxeld.service.loop import ADVICE_S, Daemon
+from taxeld.service.loop import Daemon
+from taxeld.service.publisher import ADVICE_S
 from taxeld.service.ticker import Ready
 from taxeld.stream import messages
 from taxeld.told import ToldPose
+from tests.rig.simulated_skin import SimulatedSkin
 
 from .test_loop import Touches, settings
-from .test_pipeline import ROBOT, SKIN, TRUTH, Event, pipeline_of, published, story, taken
+from .test_pipeline import ROBOT, SKIN, START_S, TRUTH, Event, pipeline_of, published, story, taken
 
 PIECES = 5
+AWAY = np.array([1.0, 1.0, 0.0])  # a sensor's pose far from all approaches
 ENABLED = "[advice]\nenabled = true\n"
 
 
 class Adviser:
     """Takes PIECES of work for each advice."""
 
-    def __init__(self) -> None:
+    def __init__(self, *told: Approach) -> None:
+        self.told = told or (approach(),)
         self.begun = self.pieces = 0
         self.advice: Advice | None = None
 
@@ -40,12 +44,12 @@ class Adviser:
     def step(self) -> bool:
         self.pieces += 1
         if self.pieces == PIECES:
-            self.advice = Advice(self.begun, (approach(),), is_enough=False)
+            self.advice = Advice(self.begun, self.told, is_enough=False)
         return self.pieces == PIECES
 
 
-def approach() -> Approach:
-    before, at, until = (np.array([x, 0.1, -0.2]) for x in (0.1, 0.2, 0.3))
+def approach(y: float = 0.1) -> Approach:
+    before, at, until = (np.array([x, y, -0.2]) for x in (0.1, 0.2, 0.3))
     return Approach(0, before, at, until, 0.5, 0.003, p_sure=0.6, gain=0.004, p_touch=0.9)
 
 
@@ -57,7 +61,7 @@ def box() -> Bundle:
 def rest(work: Advising) -> None:
     for _ in range(CALM):
         assert not work.has_work
-        work.on_scan(told=False)
+        work.on_scan(AWAY, 0, told=False, moves=False)
 
 
 def test_it_begins_once_the_belief_rests_and_is_dropped_when_that_changes() -> None:
@@ -66,9 +70,9 @@ def test_it_begins_once_the_belief_rests_and_is_dropped_when_that_changes() -> N
     work = Advising(adviser, [mount])  # type: ignore[arg-type]
     rest(work)
     work.step()
-    work.on_scan(told=False)
+    work.on_scan(AWAY, 0, told=False, moves=False)
     assert work.has_work
-    work.on_scan(told=True)
+    work.on_scan(AWAY, 0, told=True, moves=True)
     rest(work)
     for k in range(PIECES):
         assert (adviser.begun, adviser.pieces) == (1 + (k > 0), k or 1)
@@ -78,12 +82,75 @@ def test_it_begins_once_the_belief_rests_and_is_dropped_when_that_changes() -> N
     (told,) = work.advice.approaches
     for pose, sensor in ((told.before, 0.1), (told.at, 0.2), (told.until, 0.3)):
         assert np.allclose(se2.compose(pose, mount), [sensor, 0.1, -0.2]), "as the robot sends it"
-    work.on_scan(told=False)
+    work.on_scan(AWAY, 0, told=False, moves=False)
     work.step()
     assert (adviser.begun, adviser.pieces, work.has_work) == (2, PIECES, False)
     work.changed()
     assert work.advice is None
     rest(work)
+
+
+def test_an_approach_that_was_not_felt_is_not_named_again_until_the_belief_has_changed() -> None:
+    places = [0.1 * k for k in range(MOST + 2)]
+    adviser = Adviser(*map(approach, places))
+    work = Advising(adviser, [None])  # type: ignore[arg-type]
+
+    def named() -> list[float]:
+        assert work.advice is not None
+        return [float(one.at[1]) for one in work.advice.approaches]
+
+    rest(work)
+    while work.has_work:
+        work.step()
+    assert named() == places[:MOST]
+    first = adviser.told[0]
+    for sensor in (first.before, first.at - np.array([0.02, 0.0, 0.0])):
+        work.on_scan(sensor, 0, told=False, moves=True)
+    work.on_scan(first.at, 1, told=False, moves=True)  # another link
+    assert named() == places[:MOST], "it was not tried yet"
+    work.on_scan(first.at + np.array([0.002, 0.0, 0.0]), 0, told=False, moves=True)
+    assert named() == places[1 : MOST + 1]
+    rest_of_them = adviser.told[1:]
+    for one in rest_of_them:
+        work.on_scan(one.at, 0, told=False, moves=True)
+    assert named() == []
+    assert adviser.begun == 1, "the same belief is not thought about twice"
+    work.on_scan(AWAY, 0, told=True, moves=True)
+    rest(work)
+    while work.has_work:
+        work.step()
+    assert named() == places[:MOST]
+
+
+def test_silence_that_tells_nothing_keeps_advice_and_silence_that_tells_asks_for_new(
+    box: Bundle,
+) -> None:
+    """A skin that goes past the box, first far from it and then where the belief expects it."""
+    pipeline = pipeline_of(box, ROBOT + ENABLED)
+    taken(pipeline, story(box, 5.0))
+    given = pipeline.advice
+    assert given is not None
+    skin, t = SimulatedSkin(SKIN, noise=5.0), START_S + 5.0
+
+    def goes(*places: tuple[float, float]) -> None:
+        nonlocal t
+        for x, y in places:
+            t, skin.t = t + 0.05, t
+            pipeline.poses.add(t, x, y, 0.5)
+            pipeline.poses.add(t + 0.01, x, y, 0.5)
+            taken(pipeline, [(t + 0.01, skin.scan())])
+
+    assert pipeline.believing is not None
+    counters = pipeline.believing.estimator.counters
+    used = counters.updates
+    goes(*((0.3 + 0.02 * k, 0.4) for k in range(8)))
+    assert counters.updates > used + 5, "it moved"
+    assert pipeline.advice is given
+    at = given.approaches[0].at
+    goes(*((at[0], at[1]) for _ in range(CALM + 2)))
+    assert pipeline.advice is not None
+    best = pipeline.advice.approaches[0]
+    assert not np.allclose(best.before, given.approaches[0].before)
 
 
 def as_a_daemon_does(pipeline: Pipeline, events: list[Event]) -> None:
@@ -125,7 +192,7 @@ def test_a_belief_that_is_reset_or_told_anew_has_no_advice_yet(box: Bundle) -> N
 
 @pytest.fixture
 def touches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Touches]:
-    monkeypatch.setattr("taxeld.pipeline.pipeline.Advisor", lambda *_: ADVISER)
+    monkeypatch.setattr("taxeld.pipeline.believing.Advisor", lambda *_: ADVISER)
     daemon = Daemon(parse(settings(tmp_path) + ENABLED))
     yield Touches(daemon, monkeypatch)
     daemon.close()

@@ -14,7 +14,8 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.history import MOVED
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
-from taxeld.service.belief_file import NAME, BeliefFile, Form, dump, parse
+from taxeld.service.belief_file import BeliefFile, Form, dump, parse
+from tests.rig.clocks import until
 from tests.rig.pressed_box import TRUTH, World, estimator
 
 SIDES = (0.2, 1.3, 2.9, 4.5, 3.6, 5.2)
@@ -87,16 +88,16 @@ def test_a_file_that_is_old_or_foreign_is_not_used(
     assert not BeliefFile(None, before).read(1001.0)
 
 
-def test_reset_removes_it(box_model: ObservationModel, tmp_path: Path) -> None:
+def test_what_is_reset_is_forgotten_by_the_next_pass(
+    box_model: ObservationModel, tmp_path: Path
+) -> None:
     before, _ = felt(box_model)
     kept = BeliefFile(tmp_path, before)
     kept.keep(60.0, 1000.0)
-    kept.close(1001.0)
-    assert (tmp_path / NAME).exists()
+    until(lambda: len(kept.read(1001.0)) > 0)
     before.reset()
-    kept.remove()
-    kept.close(1002.0)
-    assert not (tmp_path / NAME).exists()
+    kept.forget()
+    until(lambda: not kept.read(1001.0), lambda: kept.keep(60.1, 1000.1))
 
 
 def test_a_number_that_signals_is_damage(written: Callable[[], tuple[bytes, Form]]) -> None:

@@ -12,13 +12,25 @@ from taxeld.estimator import mixture
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import ROOM, SILENT_MAX, Mixture
+from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.freshness import Why
 from taxeld.proposals.analytic import Projection
 from taxeld.stream import messages
-from tests.rig.pressed_box import TRUTH, approach, box_side, estimator, feel, press, settled
+from tests.rig.pressed_box import (
+    TRUTH,
+    Knowing,
+    World,
+    approach,
+    box_side,
+    estimator,
+    feel,
+    press,
+    settled,
+)
+from tests.rig.scenes import box, scene_of
 
 
 def sharpness(estimate: Estimate) -> tuple[float, float]:
@@ -266,3 +278,15 @@ def test_second_opinions_come_one_at_a_time_when_they_are_asked_for(
 
 def messages_of(estimate: Estimate) -> str:
     return repr(replace(estimate, modes=())) + repr([m.pose.tolist() for m in estimate.modes])
+
+
+def test_the_opposite_side_is_considered_though_no_sample_is_there(skin: Layout) -> None:
+    """A box whose symmetry is not known: turned by half it explains all touches as well."""
+    scene = scene_of(box(0.03, 0.06), skin, symmetry=1)
+    world = World(ObservationModel(scene, skin, 0.005))
+    subject = Estimator(world.model, Knowing(world), FilterConfig())
+    for side in (0.2, 1.3, 2.9):
+        world.press(subject, side)
+    one, other = subject.estimate.modes
+    assert abs(se2.wrap(one.pose[2] - other.pose[2])) == pytest.approx(np.pi, abs=0.1)
+    assert other.weight > 0.3

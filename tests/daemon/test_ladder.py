@@ -15,6 +15,7 @@ from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.ladder import PATIENCE, Ladder, Rung, Step
+from tests.rig.configurations import config
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 RNG = np.random.default_rng(0)
@@ -102,7 +103,7 @@ def test_a_rung_on_which_touches_do_not_fit_is_passed_over_at_start(
                 ns += each
                 yield ns
 
-    warm_up(box.model, ladder, FilterConfig(), clock().__next__, 10.0)
+    warm_up(config(), [box.model], ladder, clock().__next__, 10.0)
     assert ladder.rung.step is step
 
 
@@ -112,7 +113,7 @@ def test_a_warm_up_leaves_no_trace_in_the_belief(box: Bundle) -> None:
         ladder = box.untimed(FilterConfig())
         subject = Estimator(box.model, ladder, FilterConfig())
         if warm:
-            warm_up(box.model, ladder, FilterConfig(), count().__next__, 1e9)
+            warm_up(config(), [box.model], ladder, count().__next__, 1e9)
         found.append(subject.rule.belief.pose.tobytes())
     assert found[0] == found[1]
 

@@ -15,7 +15,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.pipeline.freshness import Why
 from taxeld.service.loop import Daemon
-from taxeld.source.sources import joint
+from taxeld.source.buses import joint
 from tests.rig.clocks import until
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.virtual_hub import VirtualHub
@@ -135,7 +135,7 @@ def test_touches_of_two_links_are_one_beliefs(
     rig = open_links(one_bus)
     rig.until(lambda: rig.whys == [Why.VALID, Why.VALID])
     pipeline = rig.daemon.pipeline
-    assert len(rig.daemon.buses) == 2 - one_bus
+    assert len(rig.daemon.inputs.buses) == 2 - one_bus
     assert [stage.skin.wiring.foreign for stage in pipeline.stages] == [(), ()]
     for k in range(2):
         skin, at = (rig.hubs[0][1], 80 * k) if one_bus else (rig.hubs[k][1], 0)
@@ -168,16 +168,17 @@ def test_a_silent_link_leaves_the_other_working(open_links: Callable[[bool], Two
     rig.off.add(1)
     rig.until(lambda: rig.whys == [Why.VALID, Why.NO_SCAN])
     now_s = time.monotonic()
-    rig.daemon._next_estimate_s = rig.daemon._next_health_s = 0.0
+    publisher = rig.daemon.publisher
+    publisher._next_estimate_s = publisher._next_health_s = 0.0
     rig.tick()
-    estimate, health = rig.daemon.state()["estimate"], rig.daemon.state()["health"]
+    estimate, health = (publisher.state()[name] for name in ("estimate", "health"))
     assert estimate["links"] == [Why.VALID, Why.NO_SCAN]
     assert estimate["why"] not in (Why.NO_SCAN, Why.STARTING)
     assert health["links"]["link2"]["why"] == Why.NO_SCAN
-    assert rig.daemon.of_each(now_s)["link1"] is Why.VALID
+    assert rig.daemon.pipeline.freshness.of_links(now_s)[0] is Why.VALID
     rig.off.add(0)
     rig.until(lambda: rig.daemon.pipeline.freshness.is_silent(time.monotonic()))
-    assert rig.daemon._estimate(time.monotonic()).status.name == "STALE"
+    assert publisher._estimate(time.monotonic()).status.name == "STALE"
 
 
 def test_two_links_of_the_same_modules_are_not_on_one_bus(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import logging
 import os
-import pty
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Projection
 from taxeld.service import log
-from taxeld.service.notices import Notices, Ration
+from taxeld.service.notices import Notices
 from taxeld.skin.channels import Wiring
 from taxeld_protocol.modules import wired
 from tests.rig.configurations import config
@@ -38,17 +37,6 @@ def test_the_journal_is_told_the_priority_of_each_line(tmp_path: Path) -> None:
         assert log.formatter(stream.fileno(), environ).format(RECORD) == "<4>a line\n<4>and another"
         elsewhere = {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino + 1}"}
         assert "<4>" not in log.formatter(stream.fileno(), elsewhere).format(RECORD)
-
-
-def test_a_terminal_shows_a_warning_in_colour_unless_told_not_to() -> None:
-    ours, theirs = pty.openpty()
-    with os.fdopen(theirs, "w") as terminal:
-        coloured = log.formatter(terminal.fileno(), {"TERM": "xterm"}).format(RECORD)
-        assert coloured.startswith("\x1b[33m")
-        assert coloured.endswith("\x1b[0m")
-        for environ in ({"NO_COLOR": "1"}, {"TERM": "dumb"}):
-            assert "\x1b" not in log.formatter(terminal.fileno(), environ).format(RECORD)
-    os.close(ours)
 
 
 def test_a_librarys_warnings_are_lines_of_the_log(capfd: pytest.CaptureFixture[str]) -> None:
@@ -86,36 +74,24 @@ def test_a_change_of_status_is_logged_once(
 ) -> None:
     told = notices()
     for _ in range(3):
-        told.estimate(estimate, Why.UNTOUCHED, "touch the object", 0.0)
+        told.estimate(estimate, Why.UNTOUCHED, "touch the object")
     assert logged() == ["INFO: status: searching, not valid, 0 contacts: touch the object"]
-    told.estimate(estimate, Why.VAGUE, "touch again", 0.0)
+    told.estimate(estimate, Why.VAGUE, "touch again")
     assert logged() == ["INFO: status: searching, not valid, 0 contacts: touch again"]
     stale = replace(estimate, status=Status.STALE)
-    told.estimate(stale, Why.NO_SCAN, "no scan comes", 0.1)
+    told.estimate(stale, Why.NO_SCAN, "no scan comes")
     assert logged() == ["WARNING: status: stale, not valid, 0 contacts: no scan comes"]
     sure = replace(estimate, p=0.9962, radius_m=0.0088)
-    told.estimate(sure, Why.VALID, "", 0.2)
+    told.estimate(sure, Why.VALID, "")
     (line,) = logged()
     assert line.startswith("INFO: status: searching, valid, 0 contacts, x ")
     assert line.endswith(" rad, p 99.6%, radius 8.8 mm")
 
 
-def test_a_status_that_flickers_does_not_fill_the_log(
-    estimate: Estimate, logged: Callable[[], list[str]]
-) -> None:
-    told = notices()
-    for k in range(1200):  # a minute of 20 scans a second
-        status = Status.STALE if k % 2 else Status.SEARCHING
-        told.estimate(replace(estimate, status=status), Why.NO_SCAN, "no scan", k / 20.0)
-    lines = logged()
-    assert 10 < len(lines) < 30
-    assert "changes before were not logged)" in lines[-1]
-
-
 def told_of(told: Notices, wiring: Wiring, *, fault: str = "", match: bool = True) -> None:
     """Eight looks, a second each."""
-    for second in range(8):
-        told.inputs(fault, wiring, match=match, now_s=second)
+    for _ in range(8):
+        told.inputs(fault, wiring, match=match)
 
 
 def test_what_is_wrong_with_poses_is_logged_once_and_so_is_its_end(
@@ -133,7 +109,7 @@ def hub_of(modules: int) -> tuple[Pipeline, SimulatedSkin]:
     whole = layouts.load(SPEC)
     loaded = bundle.load("box", whole, 0.005)
     skin = SimulatedSkin(whole, noise=5.0)
-    pipeline = Pipeline(config(), loaded.model, loaded.untimed(FilterConfig()))
+    pipeline = Pipeline(config(), [whole], [loaded.model], loaded.untimed(FilterConfig()))
     table = wired(whole.uid.tolist())[:modules]
     counts = sum(module.channels for module in table)
     for _ in range(30):
@@ -193,10 +169,3 @@ def test_a_daemon_says_when_it_is_ready_with_what(
     assert main(["run", "--log-level", "error", named]) == 0
     assert capfd.readouterr().err == ""
     assert logging.getLogger("taxeld").level == before
-
-
-def test_a_ration_is_filled_again_with_time() -> None:
-    ration = Ration(burst=2, every_s=10.0)
-    assert [ration.allows(0.0) for _ in range(4)] == [True, True, False, False]
-    assert ration.left_out == 2
-    assert [ration.allows(now_s) for now_s in (9.0, 10.0, 11.0, 20.0)] == [False, True, False, True]

@@ -21,7 +21,8 @@ from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.proposals.ladder import Step
 from taxeld.service import loop
-from taxeld.service.loop import GATHER_S, GATHERS, Daemon
+from taxeld.service.inputs import GATHER_S, GATHERS
+from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
 from taxeld.service.ticker import Ready
 from taxeld.source import session
@@ -152,14 +153,14 @@ def test_without_scans_estimates_come_at_their_own_rate_and_with_each_change(
 def test_each_scan_that_is_used_has_its_estimate_however_many_come_at_once(
     daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    heard, skin = Heard(daemon, monkeypatch), SimulatedSkin(daemon.layout, noise=5.0)
+    heard, skin = Heard(daemon, monkeypatch), SimulatedSkin(daemon.layouts[0], noise=5.0)
     skin.t = time.time() - 2.0
     scans = [skin.scan() for _ in range(35)]
     arrived = skin.t
     batches = [*([scan] for scan in scans[:25]), scans[25:32], [], scans[32:]]
     now = time.monotonic()
     for k, batch in enumerate(batches):
-        monkeypatch.setattr(daemon.source, "poll", lambda *_, batch=batch, **__: batch)
+        monkeypatch.setattr(daemon.inputs.source, "poll", lambda *_, batch=batch, **__: batch)
         arrived = batch[-1].t if batch else arrived
         monkeypatch.setattr(time, "time", lambda arrived=arrived: arrived)
         daemon.tick(now + 0.001 * k)
@@ -179,11 +180,11 @@ class Touches:
         self.heard = Heard(daemon, monkeypatch)
         self.now = time.monotonic()
         self.scans: list[Scan] = []  # scans that come with the next pass
-        self._skin = SimulatedSkin(daemon.layout, noise=5.0)
+        self._skin = SimulatedSkin(daemon.layouts[0], noise=5.0)
         self._skin.t = time.time() - 9.0
         self._made = 0
         monkeypatch.setattr(time, "time", lambda: self._skin.t)
-        monkeypatch.setattr(daemon.source, "poll", lambda *_: self.scans)
+        monkeypatch.setattr(daemon.inputs.source, "poll", lambda *_: self.scans)
 
     def next(self) -> Scan:
         """Another scan."""
@@ -228,19 +229,20 @@ def test_a_pass_without_arrivals_takes_one_second_opinion_and_sends_what_it_bett
             assert again[0]["lat_us"]["filter"] > 0.0
         assert counters.thoughts == bettered, "one for a scan"
     assert bettered > 3
-    daemon.latencies.percentiles()
-    assert daemon.latencies.scans == daemon.pipeline.skin.counters.scans, "each scan counts once"
+    assert daemon.publisher.latencies.scans == daemon.pipeline.skin.counters.scans, (
+        "each scan counts once"
+    )
 
 
 def test_the_status_line_has_p_where_the_estimate_is_valid(daemon: Daemon) -> None:
     now, pipeline = time.monotonic(), daemon.pipeline
     pipeline.estimate = replace(pipeline.estimate, contacts=2, p=0.5)
     daemon.tick(now)
-    assert daemon._status_line(now) == "starting, not valid, contacts 2, overruns 0"
+    assert daemon.publisher.status_line(now) == "starting, not valid, contacts 2, overruns 0"
     pipeline.freshness.links[0].last = Why.VALID
     pipeline.estimate = replace(pipeline.estimate, status=Status.CONVERGED, p=0.9962)
     daemon.tick(now)
-    assert daemon._status_line(now) == "converged, p 99.6%, contacts 2, overruns 0"
+    assert daemon.publisher.status_line(now) == "converged, p 99.6%, contacts 2, overruns 0"
 
 
 def test_no_second_opinion_is_taken_while_a_scan_waits(touches: Touches) -> None:
@@ -279,7 +281,7 @@ def test_all_scans_that_have_come_are_worked_on_to_their_end_before_the_next_wai
         return Ready(device=bool(touches.scans))
 
     monkeypatch.setattr(loop, "wait", wait)
-    monkeypatch.setattr(daemon.source, "gather", lambda: 1)
+    monkeypatch.setattr(daemon.inputs.source, "gather", lambda: 1)
     daemon._loop(Notifier({}), lambda: None)
     assert len(taken) == 3 + sum(due)
 
@@ -308,8 +310,8 @@ def test_the_frames_of_a_scan_gather_and_are_taken_by_one_pass(
 
     monkeypatch.setattr(loop, "wait", wait)
     monkeypatch.setattr(time, "sleep", slept.append)
-    monkeypatch.setattr(daemon.source, "gather", gather)
-    monkeypatch.setattr(daemon.source, "poll", lambda *_: polled.append(len(found)) or [])
+    monkeypatch.setattr(daemon.inputs.source, "gather", gather)
+    monkeypatch.setattr(daemon.inputs.source, "poll", lambda *_: polled.append(len(found)) or [])
     daemon._loop(Notifier({}), lambda: None)
     assert polled == [looks]
     assert slept[: looks - 1] == [GATHER_S] * (looks - 1)
@@ -453,7 +455,7 @@ def test_a_robots_mistake_is_named_in_the_answer_to_status(
             robot.send_multipart([b"".join(parts[:2])] if glue else parts)
             daemon.tick(time.monotonic())
 
-        until(lambda: daemon.state()["sensor_pose"]["fault"].startswith(fault), goes_on)
+        until(lambda: daemon.publisher.state()["sensor_pose"]["fault"].startswith(fault), goes_on)
 
 
 def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:

@@ -58,7 +58,9 @@ def config_of(text: str = "") -> Config:
 
 def pipeline_of(box: Bundle, text: str = "", extrapolate_s: float = 0.0) -> Pipeline:
     config = config_of(text)
-    return Pipeline(config, box.model, box.untimed(config.filter), extrapolate_s=extrapolate_s)
+    return Pipeline(
+        config, [SKIN], [box.model], box.untimed(config.filter), extrapolate_s=extrapolate_s
+    )
 
 
 def begun(

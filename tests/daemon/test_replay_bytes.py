@@ -22,10 +22,10 @@ FIXED = {
     "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
-    'proposal = "table"': "dbe9f4e2414b5c46",
+    'proposal = "table"': "f2116dd13d976a4d",
     'proposal = "manifold"\ninjection = "paper"': "05b59c8f66382ea4",
-    'proposal = "table"\nmotion = "push"': "cb6f2a598fcca01a",
-    'proposal = "manifold"\nparticles = 300': "07e0a5d8fc2b97c3",
+    'proposal = "table"\nmotion = "push"': "242ce9ef674cc025",
+    'proposal = "manifold"\nparticles = 300': "05ecbedffa8d0b3d",
 }
 
 

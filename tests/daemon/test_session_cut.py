@@ -90,7 +90,7 @@ def record(place: Path, transport: str) -> None:
 
 def estimates(place: Path, transport: str) -> list[str]:
     settings_ = config_of(transport)
-    pipeline = Pipeline(settings_, box().model, box().untimed(settings_.filter))
+    pipeline = Pipeline(settings_, [SKIN], [box().model], box().untimed(settings_.filter))
     why = pipeline.freshness.why
     return [
         json.dumps(messages.estimate(o.estimate, names=[NAME], seq=seq, why=why(o.estimate)))
@@ -286,7 +286,7 @@ def test_a_daemon_that_replays_uses_the_recorded_poses(tmp_path: Path) -> None:
             source=source, filter={"proposal": "manifold"}, publish=nobody, control={"endpoint": ""}
         )
     )
-    until(lambda: daemon.source.finished, lambda: daemon.tick(time.monotonic()))
+    until(lambda: daemon.inputs.source.finished, lambda: daemon.tick(time.monotonic()))
     daemon.close()
     assert daemon.pipeline.poses.taken > 50
     assert daemon.pipeline.estimator.counters.scans > 5

@@ -42,7 +42,7 @@ NOW = FilterConfig()
 
 @pytest.fixture(scope="module")
 def three() -> list[Bundle]:
-    return several.load(SceneConfig(bundles=THREE), SKIN)
+    return several.load(SceneConfig(bundles=THREE), [SKIN])
 
 
 @pytest.fixture
@@ -192,7 +192,7 @@ def test_the_log_says_once_which_object_it_surely_is(
     told = Notices(NAMES, "table", [])
     with caplog.at_level(logging.INFO, logger="taxeld"):
         for p in (0.9, 0.995, 0.999):
-            told.estimate(estimate_of(three, 0.0, p, 0.0, number=1), Why.VALID, "", 0.0)
+            told.estimate(estimate_of(three, 0.0, p, 0.0, number=1), Why.VALID, "")
     lines = [line for line in caplog.messages if line.startswith("object")]
     assert lines == ["object: 025_mug, p 99.5 %"]
 
@@ -220,7 +220,7 @@ def test_a_daemon_publishes_several_objects(session: Path) -> None:
     asked: Config = load(session / "config.toml")
     with closing(Daemon(asked)) as daemon:
         daemon.run()
-        estimate = daemon.state()["estimate"]
+        estimate = daemon.publisher.state()["estimate"]
     assert list(estimate["objects"]) == [*NAMES, "other"]
     assert sum(estimate["objects"].values()) == pytest.approx(1.0)
 

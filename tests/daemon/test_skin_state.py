@@ -15,7 +15,7 @@ import pytest
 from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
-from taxeld.service import state_file
+from taxeld.service import kept_file, state_file
 from taxeld.service.state_file import NAME, StateFile
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
@@ -242,7 +242,7 @@ def test_a_slow_disk_holds_nothing_up_and_gets_the_newest(
 def test_a_disk_that_hangs_does_not_keep_the_daemon_from_ending(
     skin: Layout, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(state_file, "CLOSE_S", 0.05)
+    monkeypatch.setattr(kept_file, "CLOSE_S", 0.05)
     free = threading.Event()
     monkeypatch.setattr(os, "fsync", lambda _: free.wait(30.0))
     subject = begun(skin)[1]

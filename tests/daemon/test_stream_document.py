@@ -1,4 +1,4 @@
-"""docs/stream.md says exactly what a running daemon sends: every key, its type, and an example."""
+"""docs/stream.md and the examples have exactly what a running daemon sends: each key, its type."""
 
 import subprocess
 import sys

@@ -134,6 +134,6 @@ def test_who_speaks_ends_the_wait_and_is_named() -> None:
         )
         for sent, ready in ((skin, Ready(device=True)), (peer, Ready(device=True, door=True))):
             sent.send(b"x")
-            assert wait(device, door, time.monotonic() + SOON_S) == ready
-        assert wait(None, door, time.monotonic() + SOON_S) == Ready(door=True)
-        assert wait(Mute(), None, time.monotonic() + 0.001) == Ready()
+            assert wait([device], door, time.monotonic() + SOON_S) == ready
+        assert wait([None], door, time.monotonic() + SOON_S) == Ready(door=True)
+        assert wait([Mute()], None, time.monotonic() + 0.001) == Ready()

@@ -48,21 +48,6 @@ print(flush=True)
 sys.stdin.read()
 """
 
-# A message to the stream whose last frame never comes: its path
-HOARD = (
-    _HELLO
-    + """
-print(flush=True)
-while True:
-    peer = connected(sys.argv[1])
-    try:
-        while True:
-            peer.sendall(frame(b"\\xff" + bytes(254), 1) * 200)
-    except OSError:
-        pass
-"""
-)
-
 # Requests without end by clients that read the answers: the endpoint of control
 REQUESTS = """
 import sys, zmq, msgpack
@@ -90,26 +75,6 @@ peer, _ = listens.accept()
 peer.sendall(b"\\xff" * 200)
 sys.stdin.read()
 """
-
-# A robot's message whose last frame never comes, on the robot's port: its number
-ENDLESS_POSE = (
-    _HELLO
-    + """
-import threading
-listens = socket.create_server(("127.0.0.1", int(sys.argv[1])))
-print(flush=True)
-def flood(peer):
-    try:
-        peer.sendall(hello(b"PUB"))
-        until_greeted(peer, b"SUB")
-        while True:
-            peer.sendall(frame(b"/robot/sensor_pose".ljust(255, b"x"), 1) * 200)
-    except OSError:
-        pass
-while True:
-    threading.Thread(target=flood, args=(listens.accept()[0],), daemon=True).start()
-"""
-)
 
 # Handshakes with keys that nobody knows, without end: the server's public key, and an endpoint
 STRANGE_KEYS = """
@@ -173,25 +138,3 @@ while True:
     time.sleep(0.005)
 """
 )
-
-# Every place of a socket file, by another user where that is possible: its path
-PLACES = """
-import os, socket, sys, time
-if not os.geteuid():
-    os.setgroups([])
-    os.setgid(65534)
-    os.setuid(65534)
-print(flush=True)
-peers = []
-while True:
-    peer = socket.socket(socket.AF_UNIX)
-    peer.setblocking(False)
-    try:
-        peer.connect(sys.argv[1])
-        peers.append(peer)
-    except OSError:
-        peer.close()
-        time.sleep(0.01)
-    if len(peers) > 900:
-        peers.pop(0).close()
-"""

@@ -1,7 +1,5 @@
-"""Subscribers at the door: newcomers, the slow, the silent and the flooding."""
+"""Subscribers at the door: newcomers, the slow and the silent."""
 
-import contextlib
-import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +8,6 @@ import msgpack
 import pytest
 import zmq
 
-from taxeld.door.streams import EVENTS_MAX
 from taxeld.stream import topics
 
 from ..rig.processes import free_port
@@ -101,7 +98,7 @@ def test_a_slow_subscriber_keeps_a_bounded_number_and_loses_the_rest_alone(stand
     reading = stand.subscriber(b"/taxeld/e")
     stand.received(stalled)
     stand.received(reading)
-    body, sent = {"blob": "x" * 700}, 600
+    body, sent = {"blob": "x" * 700}, 1000
     for number in range(sent):
         stand.link.send(topics.ESTIMATE, body | {"number": number}, 1.0)
         while msgpack.unpackb(stand.received(reading)[1]).get("number") != number:
@@ -109,52 +106,5 @@ def test_a_slow_subscriber_keeps_a_bounded_number_and_loses_the_rest_alone(stand
     kept = 0
     while stalled.poll(200):
         kept += "number" in msgpack.unpackb(stalled.recv_multipart()[1])
-    in_kernel = 2 * 65_536 // 700  # of both ends
+    in_kernel = 2 * 212_992 // 700  # of both ends
     assert QUEUE <= kept < 2 * QUEUE + in_kernel
-
-
-def test_a_peer_that_asks_for_very_many_topics_is_hung_up_on_and_nobody_else(stand: Stand) -> None:
-    honest = stand.subscriber(b"/taxeld/e")
-    stand.until(lambda: stand.link.wants(topics.ESTIMATE))
-    flooder = stand.socket(zmq.XSUB)
-    events = stand.losses(flooder)
-    flooder.connect(stand.stream)
-    lost = stand.losses(honest)
-    for number in range(20 * EVENTS_MAX):
-        if events.poll(0):
-            break
-        with contextlib.suppress(zmq.Again):
-            flooder.send(b"\x01none of ours %d" % number, zmq.NOBLOCK)
-        stand.look()
-    stand.until(lambda: events.poll(0))
-    stand.until(lambda: stand.link.report.hung_up)
-    assert not lost.poll(0)
-    stand.received(honest)
-
-
-def test_a_socket_file_that_vanished_is_bound_again_and_that_is_said_once(
-    local: Stand, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    before = local.subscriber(b"/taxeld/e")
-    local.received(before)
-    (tmp_path / "stream").unlink()
-    local.until((tmp_path / "stream").exists)
-    local.received(local.subscriber(topics.INFO))
-    local.until(lambda: caplog.records)
-    assert [record.message for record in caplog.records] == [
-        f"door: publish.endpoints: {tmp_path}/stream had vanished and was bound again"
-    ]
-    assert stat.S_IMODE((tmp_path / "stream").stat().st_mode) == 0o660
-    local.received(before)
-
-
-def test_a_socket_file_that_another_has_taken_is_left_to_it(
-    local: Stand, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / "stream").unlink()
-    (tmp_path / "stream").write_text("another's", encoding="ascii")
-    local.until(lambda: caplog.records)
-    assert caplog.records[0].message.endswith("something else stands in its place")
-    local.link.detach()
-    local.keeper.close()
-    assert (tmp_path / "stream").read_text(encoding="ascii") == "another's"

@@ -89,18 +89,17 @@ SHOWN = dict(FENCED.findall(PAGE.read_text(encoding="utf-8")))  # language → i
 CHANNELS = 11  # of each module: T0 to T10
 
 
-def test_the_page_shows_the_program_which_has_about_fifty_lines() -> None:
+def test_the_page_shows_what_is_the_boards_in_a_program_of_about_fifty_lines() -> None:
     program = (C / "own_skin.c").read_text(encoding="utf-8")
-    assert SHOWN["c"] == program
+    assert SHOWN["c"] in program
     assert sum(1 for line in program.splitlines() if line.strip()) <= 60
 
 
 @pytest.fixture
 def own_skin(tmp_path: Path) -> Iterator[str]:
-    """The device of the page's program, made by the page's command."""
-    for name in ("taxeld_protocol.h", "own_skin_host.c"):
+    """The device of the program, made by the page's command."""
+    for name in ("taxeld_protocol.h", "own_skin.c", "own_skin_host.c"):
         shutil.copy(C / name, tmp_path)
-    (tmp_path / "own_skin.c").write_text(SHOWN["c"], encoding="utf-8")
     [command] = re.findall(r"`(cc .*?)`", PAGE.read_text(encoding="utf-8"))
     compile_c("-Wconversion", C / "own_skin.c", C / "own_skin_host.c", "-o", tmp_path / "strict")
     subprocess.run(shlex.split(command), cwd=tmp_path, check=True)

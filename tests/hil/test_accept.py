@@ -4,7 +4,6 @@ import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 from taxeld.layout import read as layouts
 from taxeld_hil.acceptance.accept import source_of
 from taxeld_hil.acceptance.checks import CHECKS, CheckResult
-from taxeld_hil.acceptance.draw import draw
 from taxeld_hil.acceptance.press import pressed
 from taxeld_hil.acceptance.received import Press, Received
 from taxeld_hil.acceptance.report import AcceptanceReport
@@ -324,16 +322,6 @@ def test_the_json_is_strict_and_has_a_row_for_each_taxel() -> None:
     assert len(value["taxels"]) == len(SKIN)
     assert value["taxels"][-1]["noise"] is None
     assert value["passed"] is False
-
-
-@pytest.mark.parametrize(
-    "make",
-    [no_scans({}), fixed((1, 1, 0), (2, 2, 50_000), (3, 3, 10_000)), presses(1, 4, 3, 2)],
-    ids=["silent", "some of each", "pressed"],
-)
-def test_every_report_can_be_drawn(make: Callable[[], Received], tmp_path: Path) -> None:
-    draw(AcceptanceReport("can:can0", "now", make()), tmp_path / "p.png")
-    assert 10_000 < (tmp_path / "p.png").stat().st_size < 300_000
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What is expected of a skin before it is bought: the table, what told most, what would help."""
+"""What is expected of a skin before it is bought: the table, what would help."""
 
 import json
 from dataclasses import replace
@@ -26,10 +26,9 @@ PATCH = "cylinder:rows=2,columns=40,radius_m=0.07,pitch_m=0.015"
 def trial(seed: int, name: str, *after: tuple[float, bool, bool]) -> RunRow:
     """A trial with these errors [mm], whether it is found and sure, and whether it misleads."""
     noted = [
-        {"error_mm": mm, "found_and_sure": sure, "misleading": wrong, "at_mm": [mm, 0.0]}
-        for mm, sure, wrong in after
+        {"error_mm": mm, "found_and_sure": sure, "misleading": wrong} for mm, sure, wrong in after
     ]
-    return {"name": name, "seed": seed, "before_mm": 127.0, "after": noted}
+    return {"name": name, "seed": seed, "after": noted}
 
 
 GOOD = trial(0, AS_IS, (31.0, False, False), (1.0, True, False))
@@ -41,23 +40,6 @@ def test_the_table_has_the_errors_and_shares_of_all_trials_after_each_touch() ->
         Touched(1, 2, 47.0, pytest.approx(59.8), 0.0, 0.0, 0.5),
         Touched(2, 2, 8.0, pytest.approx(13.6), 0.5, 0.5, 0.0),
     ]
-
-
-def test_a_touch_tells_by_how_often_it_halves_the_error_and_whether_it_makes_sure() -> None:
-    first, second = expect.told_by_number([GOOD, BAD])
-    assert (first.halvings, first.made_sure) == (1.5, 0.0)  # 128 → 32, 128 → 64
-    assert (second.halvings, second.made_sure) == (3.0, 0.5)  # 32 → 2, 64 → 16
-    assert expect.told_by_side([GOOD, BAD], MODEL.scene) == []
-    (side,) = expect.told_by_side([GOOD, BAD] * 4, MODEL.scene)
-    assert (side.touches, side.halvings) == (8, 3.0)  # the first touch of a trial is of no side
-
-
-def test_sides_that_the_symmetry_makes_alike_are_one() -> None:
-    scene = MODEL.scene
-    assert scene.symmetry == 2
-    there, back = (scene.centre + sign * np.array([0.0, 0.05]) for sign in (1.0, -1.0))
-    assert expect.side_of(there, scene) == expect.side_of(back, scene) == "90° and every 180°"
-    assert expect.side_of(scene.centre + np.array([0.05, 0.001]), scene).startswith("0°")
 
 
 def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance() -> None:
@@ -92,7 +74,7 @@ def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance
 
 
 def test_a_robot_errs_alike_throughout_a_touch_and_otherwise_in_the_next() -> None:
-    plan = touches.plan(MODEL, TRUTH, lambda _: 0.0, 0, 40, 0)
+    plan = touches.plan(MODEL, TRUTH, 0, 40)
     path = plan.path.erring(0.002, seed=1)
     off = [
         [path.stated(t)[:2] - path.at(t)[:2] for t in (touch.begin_s, *touch.held_s, touch.end_s)]
@@ -123,7 +105,7 @@ def test_a_skin_that_leaves_half_of_its_link_bare_is_turned_to_the_object(tmp_pa
     assert own.bundle == "box", "on another layout it is cut anew, and none is written for it"
     assert BY_TABLE not in {job.arguments[0] for job in expect.jobs({AS_IS: own}, 1, 1)}
     rig = Rig(own, 0)
-    plan = touches.plan(rig.model, rig.world.truth, lambda _: 0.0, 0, 8, 0)
+    plan = touches.plan(rig.model, rig.world.truth, 0, 8)
     for touch in plan.touches:
         at = plan.path.at(float(np.mean(touch.held_s)))
         seen = se2.compose(se2.inverse(at), rig.world.truth)
@@ -165,7 +147,6 @@ def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
     found = json.loads((tmp_path / "expect.json").read_text(encoding="utf-8"))
     assert [row["touches"] for row in found["touches"]] == [1, 2, 3]
     assert len(found["runs"]) == 6
-    assert (tmp_path / "expect.png").stat().st_size > 10_000
     assert cli.main(command) == 0
     again = capsys.readouterr()
     assert again.out == first.out

@@ -1,8 +1,6 @@
 """The injector does its faults and no more; the ledger and the judge find what is wrong."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -255,8 +253,6 @@ def test_each_layout_of_a_soak_has_a_report_and_faults_of_its_own_modules_and_ta
     assert cli.main([*command, "--layout", "own", "--layout", SMALL]) in (0, 1)
     paths = [tmp_path / "soak.json", tmp_path / f"soak_{SMALL}.json"]
     assert [json.loads(path.read_text())["layout"] for path in paths] == ["", SMALL]
-    _, _, first, *_ = soak.table(paths)
-    assert first.endswith(f"| box, `scene`, fake | box, `scene`, fake, {SMALL} |")
     faults = [f for n in range(200) for f in laps.lap(DEMO.on("", SMALL), 0, n).fault]
     assert {fault.module for fault in faults} == {0, 1, 2, 3}
     assert 30 < max(taxel for fault in faults for taxel in fault.taxels) < 40
@@ -299,31 +295,6 @@ def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
     assert (seen.found, seen.found_and_sure) == (5, 3)
     assert (seen.full, seen.full_found_and_sure, seen.lost_laps) == (3, 2, [1])
     assert seen.full_found == 3, "also the one that is not sure of it"
-
-
-def test_reports_of_soaks_are_shown_side_by_side(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    seen = soak.Soak(0, "fake", 1.0, "/there/is/a/drill", "typical")
-    lied = [("pose_jumping", 4.0)]
-    for number, (faults, status, contacts) in enumerate(
-        ((lied, "converged", 8), ([], "converged", 9), ([], "ambiguous", 8))
-    ):
-        seen.add(number, of_a_lap(faults, [12.0] * (number < 2), status, contacts), 60.0)
-    seen.report(tmp_path / "soak_drill.json", lambda _: None)
-    assert cli.main(["soak", "--table", str(tmp_path / "soak_drill.json")]) == 0
-    shown = dict(line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[2:])
-    assert shown["object, skin, clock"] == "drill, `typical`, fake"
-    assert shown["misleading without a deceptive fault in the lap, and after one"] == "1, 1"
-    assert shown["found and sure at the lap's end"] == "2"
-    assert shown["of laps in which all 8 contacts were felt"] == "2 of 3 (66.7%)"
-    assert shown["of these, found, sure or not"] == "3 of 3 (100.0%)"
-    assert shown["passed"] == "no"
-    command = f"{sys.executable} -m taxeld_hil.cli soak --table {tmp_path / 'soak_drill.json'}"
-    unread = subprocess.run(
-        f"{command} | true", shell=True, capture_output=True, text=True, check=False
-    )
-    assert unread.stderr == "", "nor does a reader that has gone bring a traceback"
 
 
 def test_a_lap_of_a_soak_can_be_run_by_itself(

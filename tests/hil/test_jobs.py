@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from taxeld.errors import SetupError
-from taxeld_hil import jobs
+from taxeld_hil import jobs, options
 from taxeld_hil.jobs import Job
 
 
@@ -161,14 +161,14 @@ def test_layouts_have_rows_in_turn_and_an_absent_file_is_left_out(
 ) -> None:
     line, here = "wrap:modules=12,radius_m=0.04", tmp_path / "here.csv"
     here.touch()
-    assert jobs.layouts(None) == [""]
+    assert options.layouts(None) == [""]
     given = ["own", str(tmp_path / "gone.json"), line, str(here), str(here)]
-    assert jobs.layouts(given) == ["", line, str(here)]
+    assert options.layouts(given) == ["", line, str(here)]
     assert [jobs.layout_name(each) for each in ("", line, str(here))] == ["", line, "here"]
     said = capsys.readouterr().err.splitlines()
     assert said == [f"--layout: there is no file {tmp_path / 'gone.json'}: its rows are left out"]
     with pytest.raises(SetupError, match="none of these files is there"):
-        jobs.layouts([str(tmp_path / "gone.json")])
+        options.layouts([str(tmp_path / "gone.json")])
     (tmp_path / "here.json").touch()
     with pytest.raises(SetupError, match="two are called here"):
-        jobs.layouts([str(here), str(tmp_path / "here.json")])
+        options.layouts([str(here), str(tmp_path / "here.json")])

@@ -1,5 +1,6 @@
 """Scenarios on objects and skins: what is counted of them, and what a measurement remembers."""
 
+import json
 import shutil
 from importlib import resources
 from pathlib import Path
@@ -114,14 +115,14 @@ def test_a_measurement_goes_on_from_what_it_remembers(
 ) -> None:
     short = tmp_path / "short.toml"
     short.write_text(SHORT, encoding="utf-8")
-    command = ["matrix", str(short), "--foam", "stiff", "--object", "box"]
-    command += ["--workers", "1", "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
+    command = ["matrix", str(short), "--foam", "stiff", "--object", "box", "--workers", "1"]
+    command += ["--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
     assert cli.main([*command, "--seeds", "1"]) == 0
     assert "box, stiff, seed 0: " in capsys.readouterr().err
     assert cli.main([*command, "--seeds", "2"]) == 0
     second = capsys.readouterr()
     assert "1 of 2 runs are remembered" in second.err
     assert "seed 0" not in second.err
-    runs = measurement.read(tmp_path / "scenarios.json")
+    runs = json.loads((tmp_path / "scenarios.json").read_text(encoding="utf-8"))["runs"]
     assert [run["seed"] for run in runs] == [0, 1]
     assert second.out.splitlines() == list(matrix.lines(runs))

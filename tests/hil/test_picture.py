@@ -25,22 +25,27 @@ from tests.rig.commands import refused
 SESSION = Path(__file__).parents[1] / "daemon" / "session"  # four contacts of a mug
 
 
-@pytest.fixture(scope="module")
-def figure() -> Figure:
-    """Of the contacts, as it was written."""
+def last_of(moments: list[DrawnScan]) -> dict[str, DrawnScan]:
+    """Four moments of a session whose object is not found."""
+    return dict(zip("abcd", moments[-4:], strict=True))
+
+
+@pytest.fixture
+def figure(monkeypatch: pytest.MonkeyPatch) -> Figure:
+    """As it was written."""
     kept: list[Figure] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(draw, "save", lambda figure, _: kept.append(figure))
-        draw.draw(SESSION, Path("unused.png"))
+    monkeypatch.setattr(draw, "save", lambda figure, _: kept.append(figure))
+    monkeypatch.setattr(draw, "four", last_of)
+    draw.draw(SESSION, Path("unused.png"))
     return kept[0]
 
 
-def test_contacts_are_drawn_in_millimetres_with_a_colour_bar_and_a_legend(figure: Figure) -> None:
+def test_moments_are_drawn_in_millimetres_with_a_colour_bar_and_a_legend(figure: Figure) -> None:
     *panels, bar = figure.axes
-    drawn = [axis for axis in panels if axis.lines]
-    assert len(drawn) == 4
-    assert {(axis.get_xlabel(), axis.get_ylabel()) for axis in drawn} == {("x [mm]", "y [mm]")}
-    assert all(10.0 < np.ptp(axis.get_xlim()) < 2000.0 for axis in drawn), "not metres"
+    above = panels[:4]
+    assert {axis.get_xlabel() for axis in above} == {"x [mm]"}
+    assert [axis.get_ylabel() for axis in above] == ["y [mm]", "", "", ""]
+    assert all(10.0 < np.ptp(axis.get_xlim()) < 2000.0 for axis in above), "not metres"
     assert bar.get_ylabel() == "activation of a taxel [full scale]"
     (legend,) = figure.legends
     named = [text.get_text() for text in legend.get_texts()]
@@ -77,21 +82,16 @@ def test_a_session_whose_object_is_not_found_is_one_line(
 ) -> None:
     monkeypatch.setattr(draw, "four", lambda _: {})
     out = tmp_path / "x.png"
-    assert "is not found by touch" in refused("draw", SESSION, "--moments", "--out", out, main=main)
+    assert "is not found by touch" in refused("draw", SESSION, "--out", out, main=main)
     assert not out.exists()
 
 
 def test_the_moments_are_written_small_enough_for_a_page(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    chosen = draw.four
-
-    def last(moments: list[DrawnScan]) -> dict[str, DrawnScan]:
-        return chosen(moments) or dict(zip("abcd", moments[-4:], strict=True))
-
-    monkeypatch.setattr(draw, "four", last)
+    monkeypatch.setattr(draw, "four", last_of)
     out = tmp_path / "x.png"
-    assert main(["draw", str(SESSION), "--moments", "--out", str(out)]) == 0
+    assert main(["draw", str(SESSION), "--out", str(out)]) == 0
     assert out.stat().st_size < 300_000
     assert imread(out).shape[1] > 800
 
@@ -103,7 +103,7 @@ def test_a_truth_that_was_cut_before_its_first_row_is_no_truth(
     (tmp_path / "s" / "truth.csv").write_text("t,x,y,theta\n", encoding="ascii")
     monkeypatch.setattr(draw.SessionPicture, "scans", lambda _: iter(()))
     assert main(["draw", str(tmp_path / "s"), "--out", str(tmp_path / "x.png")]) == 2
-    assert "holds no contact to draw" in capsys.readouterr().err
+    assert "is not found by touch" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["no/x.png", "x.nothing"])

@@ -88,7 +88,6 @@ def python_can(frames: list[Frame], path: Path) -> None:
 WRITERS: dict[str, Write] = {  # by the name of a file
     "candump": candump_log(),
     "candump.log": candump_log(),
-    "candump.log.gz": candump_log(),
     "candump-x.log": candump_log(end=" R"),
     **dict.fromkeys(
         ("a.log", "a.asc", "a.ASC", "a.asc.gz", "a.blf", "a.csv", "a.db", "a.trc"), python_can

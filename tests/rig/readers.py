@@ -4,7 +4,6 @@ The tests ask them with changed files (tests/daemon/test_any_file.py).
 """
 
 import contextlib
-import gzip
 import io
 import json
 import logging
@@ -199,10 +198,6 @@ def _frames() -> list[bytes]:
     return [(place() / "made").read_bytes()]
 
 
-def _packed() -> list[bytes]:
-    return list(map(gzip.compress, _frames()))
-
-
 def _bytes() -> list[bytes]:
     return [(RECORDED / session.SERIAL).read_bytes()[:3000]]
 
@@ -215,7 +210,7 @@ def _keys() -> list[bytes]:
 READERS = {
     **{
         name: Reader(_in_file(name, lambda path: list(decode(path))), samples)
-        for name, samples in (("a.log", _frames), ("a.log.gz", _packed), ("a.bin", _bytes))
+        for name, samples in (("a.log", _frames), ("a.bin", _bytes))
     },
     "configuration": Reader(
         _in_file("any.toml", load), lambda: [(ROOT / "examples" / "can0.toml").read_bytes()]

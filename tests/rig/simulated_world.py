@@ -167,11 +167,9 @@ class SimulatedDevice(MemoryDevice):
         return items
 
 
-def simulated_wait(
-    world: World, device: Any, door: Any, until_s: float, further: Sequence[Any] = ()
-) -> Ready:
+def simulated_wait(world: World, devices: Sequence[Any], door: Any, until_s: float) -> Ready:
     """`ticker.wait` on the fake clock, with one link."""
-    assert not further
+    (device,) = devices
 
     def ready() -> Ready:
         has_pose = door is not None and bool(select.select([door], [], [], 0)[0])

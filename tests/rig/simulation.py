@@ -26,6 +26,7 @@ from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.service import health
 from taxeld.service.clock import WallClock
+from taxeld.service.inputs import Inputs
 from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
 from taxeld.service.ticker import Ticker
@@ -115,7 +116,7 @@ class Run:
     @contextlib.contextmanager
     def _patched(self) -> Iterator[None]:
         """Clocks, threads, processes and disk, for as long as the daemon lives."""
-        world, pairs, give, pose = self.world, pair.open_pair, Link._give, Daemon._on_pose
+        world, pairs, give, pose = self.world, pair.open_pair, Link._give, Inputs.on_pose
 
         class File(FileIO):
             def write(self, data: Any) -> int:
@@ -154,7 +155,7 @@ class Run:
             "taxeld.service.doorkeeper.subprocess": processes,
             "taxeld.stream.pair.open_pair": open_pair,
             "taxeld.stream.link.Link._give": given,
-            "taxeld.service.loop.Daemon._on_pose": posed,
+            "taxeld.service.inputs.Inputs.on_pose": posed,
             "taxeld.source.recorder.threading": world.writers,
             "taxeld.source.recorder.FileIO": File,
             "taxeld.source.sources.open_device": lambda *_: SimulatedDevice(world),

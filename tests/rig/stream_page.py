@@ -1,12 +1,15 @@
-"""The keys, types and examples that docs/stream.md has of each message."""
+"""The keys and types that docs/stream.md has of each message, and the clients' example of it."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = ROOT / "docs" / "stream.md"
+EXAMPLES = ROOT / "examples" / "clients" / "messages.json"
 Types = dict[str, str]
+EACH = {"v": "int", "seq": "int", "t": "float"}  # keys of all topics of a scan, named once
 
 
 def leaves(value: object, path: str = "") -> Types:
@@ -15,9 +18,8 @@ def leaves(value: object, path: str = "") -> Types:
     found: Types = {}
     if isinstance(value, dict):
         for key, item in value.items():
-            found |= leaves(
-                item, f"{path}.*" if key.isdigit() or path.endswith(".objects") else f"{path}.{key}"
-            )
+            is_any = key.isdigit() or path.endswith(".objects")
+            found |= leaves(item, f"{path}.*" if is_any else f"{path}.{key}")
     elif isinstance(value, list):
         for item in value:
             found |= leaves(item, f"{path}[]")
@@ -32,12 +34,12 @@ def section(title: str) -> str:
 
 
 def documented(title: str) -> tuple[Types, dict[str, Any]]:
-    """The keys of a section's table with their types, and its example."""
-    part = section(title)
-    rows = [line.split("|")[1:3] for line in part.splitlines() if line.startswith("| `")]
-    example = part.split("```json\n", maxsplit=1)[1].split("```", maxsplit=1)[0]
-    keys = {key: kind.strip() for text, kind in rows for key in expanded(text.strip().strip("`"))}
-    return keys, json.loads(example)
+    """The keys of a section's table with their types, and the topic's example."""
+    rows = [line.split("|")[1:3] for line in section(title).splitlines() if line.startswith("| `")]
+    named = [(re.findall("`(.*?)`", cell), kind.strip()) for cell, kind in rows]
+    keys = {key: kind for names, kind in named for name in names for key in expanded(name)}
+    keys |= {} if title in ("/taxeld/info", "/robot/sensor_pose") else EACH
+    return keys, json.loads(EXAMPLES.read_text(encoding="utf-8"))[title]
 
 
 def expanded(key: str) -> list[str]:

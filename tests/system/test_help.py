@@ -84,7 +84,7 @@ RENAMED = [  # a line with an option's earlier name, its present one, and the va
     ("taxeld-train evaluate filter --skin a.json", "layout", ["a.json"]),
     ("taxeld-hil run demo --skin poor", "foam", "poor"),
     ("taxeld-hil emulate demo --can vcan0 --poses ipc://x --out y --skin poor", "foam", "poor"),
-    ("taxeld-hil touches --skin poor --skin stiff", "foam", ["poor", "stiff"]),
+    ("taxeld-hil matrix --skin poor --skin stiff", "foam", ["poor", "stiff"]),
 ]
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taxeld_hil import jobs
 from taxeld_hil.integrity import Stanford
 from taxeld_training.cli import main
-from taxeld_training.filters import advised, cells, experiment, linked, priors, whole
+from taxeld_training.filters import advised, cells, experiment, linked, whole
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.jobs import options, statistics
@@ -83,8 +84,6 @@ def test_proposals_has_a_row_a_sampler_and_remembers_its_jobs(block: Path, measu
         re.search(r"\| -?\d\.\d{4} \(-?\d\.\d{4} – -?\d\.\d{4}\) \|", line) for line in table[4:]
     )
     assert float(table[-1].split("|")[-2]) < 0.05  # p of the farthest, the projection
-    for end in ("", "_posterior"):
-        assert (measured / "out" / f"proposals{end}.png").is_file()
     before = written_at(measured / "memory")
     assert evaluate("proposals", block, measured, *SAMPLERS) == 0
     assert written_at(measured / "memory") == before
@@ -109,7 +108,7 @@ def test_a_filter_follows_with_the_model_whose_distance_was_measured(
 def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_beside(
     block: Path, measured: Path, tmp_path: Path
 ) -> None:
-    more = ("--groups", "analytic,density-16", "--minutes", "0")
+    more = ("--groups", "analytic,density-64", "--minutes", "0")
     kept = ("--memory", str(measured / "memory"))
     assert evaluate("proposals", block, tmp_path, *more, *kept) == 0
     assert {row["proposal"] for row in rows(tmp_path, "proposals")} == ANALYTIC
@@ -122,12 +121,10 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
     "name",
     [
         "proposals",
-        "proposals --cells skin",
         "whole",
         "filter",
         "reliability",
         "recognise",
-        "prior",
         "advice",
         "ablation",
         "push",
@@ -146,17 +143,16 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ("proposals --groups magic", "--groups: no 'magic'; there are analytic, "),
+        ("proposals --groups magic", "--groups: no 'magic' here; there are analytic, "),
         ("proposals --objects 999_none", "999_none"),
-        ("proposals --cells columns=8", "--cells: columns=8 changes no reading"),
-        ("proposals --cells skin --objects 061_foam_brick", "061_foam_brick: no bundle of it is"),
+        ("proposals --cells skin", "--cells: proposals has no cells to choose from"),
         ("stability --cells noise,sniff", "--cells: no 'sniff' here; there are as assumed, noise"),
         ("filter --cells moved=3", "--cells: no 'moved=3' here; there are moved=2, moved=5, "),
         ("filter --groups magic", "--groups: no 'magic' here; there are density, table, "),
         ("push --cells noise", "--cells: push has no cells to choose from"),
         ("recognise --cells noise", "--cells: recognise has no cells to choose from"),
         ("recognise --objects 025_mug,999_none", "999_none: no such YCB object"),
-        ("advice --cells noise", "--cells: advice has no cells to choose from"),
+        ("advice --cells noise", "--cells: no 'noise'; there are exact, typical, robot 1 mm"),
         ("advice --groups magic", "--groups: no 'magic'; there are any, random, "),
         ("links --cells noise", "--cells: links has no cells to choose from"),
         ("links --layout cylinder:rows=2,columns=8,radius_m=0.03,pitch_m=0.02", "takes two, not 1"),
@@ -212,17 +208,6 @@ def test_links_are_compared_on_the_same_touches(
     assert first["found"][0] == both["found"][0]  # the first touch is the same
 
 
-def test_priors_and_restarts_are_compared_on_the_same_touches(tmp_path: Path) -> None:
-    assert evaluate("prior", "003_cracker_box", tmp_path, "--seeds", "1") == 0
-    found = {row["case"]: row for row in rows(tmp_path, "prior")}
-    assert set(found) == set(priors.CASES)
-    for row in found.values():
-        assert row["trials"] == 1
-        assert row["found"][priors.RESTARTED_AFTER - 1] == 1.0
-    before = slice(priors.RESTARTED_AFTER)
-    assert found["restart"]["sure"][before] == found["none"]["sure"][before]
-
-
 def test_guides_are_compared_from_the_same_first_touch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,23 +221,6 @@ def test_guides_are_compared_from_the_same_first_touch(
     assert found["advice"]["advice_ms"] > 0.0
     assert "advice_ms" not in found["random"]
     assert (tmp_path / "out" / "advice.png").is_file()
-
-
-def test_samplers_are_measured_on_the_touches_of_trials_under_chosen_conditions(
-    tmp_path: Path,
-) -> None:
-    """On skins that sag and couple, too: nearer than the table, which has learned nothing."""
-    few = ("--cells", "as assumed,skin=poor")
-    assert evaluate("proposals", "025_mug", tmp_path, *few) == 0
-    found = {
-        (row["level"], row["proposal"]): row["energy_distance"]
-        for row in rows(tmp_path, "proposals_cells")
-    }
-    for level in (0, "poor"):
-        assert found[level, "density-64"] < found[level, "projection"] / 4.0
-        assert found[level, "floor"] < 0.1
-    table = (tmp_path / "out" / "proposals_cells.md").read_text("utf-8")
-    assert "| mug | skin: poor | " in table
 
 
 def test_filter_has_a_row_a_method_and_contact_and_goes_on_where_it_was_cut(
@@ -389,9 +357,9 @@ def test_push_has_a_row_an_object_and_motion_and_following_is_nearer(tmp_path: P
 
 def test_other_code_and_other_bundles_have_a_memory_of_their_own(tmp_path: Path) -> None:
     """What an older bundle, or other code, came to is not taken for what today's does."""
-    names = {options.code(decides) for decides in (options.DECIDES, *zip(options.DECIDES))}
+    names = {jobs.code(decides) for decides in (options.DECIDES, *zip(options.DECIDES))}
     assert len(names) == 1 + len(options.DECIDES)  # each of them has files
-    assert Options(tmp_path, tmp_path).measured == tmp_path / options.code()
+    assert Options(tmp_path, tmp_path).measured == tmp_path / jobs.code(options.DECIDES)
 
 
 def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:
@@ -413,8 +381,8 @@ def test_an_interval_of_a_median_holds_it_and_rows_are_drawn_as_a_whole() -> Non
 
 
 def test_a_share_of_none_is_not_certain() -> None:
-    assert statistics.of_share([False] * 100) == pytest.approx((0.0, 0.037), abs=1e-3)
-    half = statistics.of_share([True] * 50 + [False] * 50)
+    assert statistics.of_count(0, 100) == pytest.approx((0.0, 0.037), abs=1e-3)
+    half = statistics.of_count(50, 100)
     assert half == pytest.approx((0.404, 0.596), abs=1e-3)
 
 

@@ -18,7 +18,6 @@ from taxeld_training.models import variants
 from taxeld_training.models.base import NetworkConfig
 from taxeld_training.models.dataset import SimulatedTouches, simulate
 from taxeld_training.models.density import BINS, ContactDensity
-from taxeld_training.models.diffusion import Solver
 from taxeld_training.models.export import export, flops, rounded
 from taxeld_training.models.frames import ContactFrame
 from taxeld_training.models.variants import Variant
@@ -28,9 +27,8 @@ TRAINING = variants.density(8).training
 FEW = NetworkConfig(8, 16, steps=8)  # T: the unrolled graph of a hundred is slow to export
 SMALL = {
     "density": variants.density(8, encoder_width=16),
-    "dpm": Variant("diffusion", FEW, TRAINING, samplers=((Solver.DPM, 3),)),
-    "ddpm": Variant("diffusion", FEW, TRAINING, samplers=((Solver.DDPM, 8),)),
-    "paper": Variant("diffusion", FEW, TRAINING, "plain", "pose", ((Solver.DDPM, 8),)),
+    "ddpm": Variant("diffusion", FEW, TRAINING),
+    "paper": Variant("diffusion", FEW, TRAINING, "plain", "pose"),
 }
 
 
@@ -39,7 +37,7 @@ def fitted(
 ) -> torch.nn.Module:
     small = variants.trained_with(variant, updates / variant.training.updates, 20_000, 0)
     network = variants.fit(small, model, Noise(), touches)
-    return next(iter(variants.samplers(small, network).values()))
+    return variants.sampler_of(network)
 
 
 @pytest.mark.parametrize(

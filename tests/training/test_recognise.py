@@ -38,7 +38,8 @@ def given(*runs: tuple[int, list[float], float]) -> Identities:
     p = np.array([np.full(len(run[1]), run[2]) for run in runs])
     error_mm = np.where(named == true[:, None], 5.0, np.nan)
     radius_mm = np.full(p.shape, 20.0)
-    return Identities(true, named, objects, 1.0 - objects.sum(axis=2), p, error_mm, radius_mm)
+    other = 1.0 - objects.sum(axis=2)
+    return Identities(p, radius_mm, error_mm, true, named, objects, other)
 
 
 def test_an_estimate_of_another_object_is_neither_right_nor_found_and_misleads_if_it_is_sure() -> (
@@ -113,11 +114,10 @@ def test_recognise_has_rows_of_known_and_unknown_objects_and_goes_on_where_it_wa
     found = rows(tmp_path, "recognise")
     mine = [row for row in found if (row["of"], row["skin"]) == (recognise.TEN, "exact")]
     of = {figure: [row for row in mine if row["figure"] == figure] for figure in {*_figures(mine)}}
-    assert {"reach", "identity", "cost", "calibration", "confusion", "unknown"} <= of.keys()
+    assert {"identity", "cost", "calibration", "confusion", "unknown"} <= of.keys()
     assert {row["object"] for row in of["identity"]} == {"all", str(block), "025_mug"}
     assert [row["contact"] for row in of["identity"][:TOUCHES]] == list(range(1, TOUCHES + 1))
     assert [row["contact"] for row in of["unknown"] if "contact" in row] == list(recognise.TOLD)
-    assert all(row["met"] == (not row.get("below")) for row in of["reach"] if row["value"] == 1.0)
     others = {row["figure"] for row in found if row["of"] == recognise.OTHER_TEN}
     assert "unknown" not in others  # only the first filter meets them
     assert (tmp_path / "out" / "recognise.png").stat().st_size > 0

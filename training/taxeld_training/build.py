@@ -2,14 +2,10 @@
 follow one another on the way there."""
 
 import shlex
-import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-
-import trimesh
 
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
@@ -51,48 +47,28 @@ def build(
         SetupError: the object or skin cannot be used, or `out` holds something else.
     """
     bundles.check_place(out)
-    path, attribution = meshes.find(name)
-    mesh = meshes.load(path)
+    mesh = meshes.load(meshes.find(name)[0])
     scene, *more = scenes.build_all(mesh, [(layout, height_m), *further])
     model = ObservationModel(scene, layout, depth_m)
-    info: dict[str, Any] = {"object": path.stem, "attribution": attribution}
-    if Path(name).suffix:  # the harness has the meshes of YCB objects
-        info["mesh"] = bundles.MESH + path.suffix
-    info |= _describe(mesh, model, height_m)
+    error = scenes.grid_error(scene, mesh, layout, height_m, depth_m)
+    info = bundles.about(name, layout, height_m, depth_m) | {
+        "symmetry": scene.symmetry,
+        "repairs": scenes.repairs(mesh, layout, height_m),
+        "grid_error_mm": asdict(error),
+    }
     if further:
         info["links"] = bundles.links(further)
     progress(SCENE, 1.0)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent) as temporary:
-        made = Path(temporary) / "bundle"
-        made.mkdir()
+    with bundles.making(name, info, out) as made:
         if given is None:
             info |= {"samplers": [], "auto": [Table.name]}
         else:
             info |= candidates.make(model, given, made, progress)
-        if "mesh" in info:
-            shutil.copyfile(path, made / info["mesh"])
         bundles.write(scene, info, made, more)
         if given is not None:
             info |= touches.counted(made, layout, asked, progress)
             bundles.write(scene, info, made, more)
-        bundles.replace(made, out)
     return out
-
-
-def _describe(mesh: trimesh.Trimesh, model: ObservationModel, height_m: float) -> dict[str, Any]:
-    """The part of bundle.json about the object on the skin."""
-    scene, layout = model.scene, model.layout
-    return {
-        "layout": {"name": layout.name, "digest": layout.digest},
-        "height_m": height_m,
-        "depth_max_m": model.depth_max_m,
-        "symmetry": scene.symmetry,
-        "repairs": scenes.repairs(mesh, layout, height_m),
-        "grid_error_mm": asdict(
-            scenes.grid_error(scene, mesh, layout, height_m, model.depth_max_m)
-        ),
-    }
 
 
 def command(name: str, layout: str, height_m: float, depth_m: float) -> str:

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,6 @@ from taxeld_hil.objects import bundles, meshes, scenes
 from taxeld_training.filters import alike
 
 ALIKE = "alike.json"
-
-Make = Callable[[str, Path], object]  # builds the bundle of an object in a directory
 
 
 def places(names: Sequence[str], out: Path) -> dict[str, Path]:

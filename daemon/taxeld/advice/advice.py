@@ -20,10 +20,10 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
+from taxeld.estimator.news import MOTION_M
+from taxeld.estimator.verdict import UNMODELLED_M
 
-MOST = 3  # approaches of an advice
 AT_ONCE = 24  # lines whose travel is found in one piece of work
-LITTLE_M = 1e-3  # m: an estimate that is to become better by less is good enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +40,18 @@ class Approach:
     gain: float  # m that it saves beside the mean line: of expected error, and 2 mm for a miss
     p_touch: float  # probability that it touches anything
 
+    def is_at(self, sensor: Poses, link: int) -> bool:
+        """Whether a link at `sensor` (3,) is where contact is expected, whichever way it faces."""
+        x, y, _ = sensor - self.at
+        return link == self.link and float(np.hypot(x, y)) < MOTION_M
+
 
 @dataclass(frozen=True, slots=True)
 class Advice:
     """The best approaches after some contacts."""
 
     contacts: int
-    approaches: tuple[Approach, ...]  # best first, at most MOST; none where none is free
+    approaches: tuple[Approach, ...]  # best first; none where none is free
     is_enough: bool  # the estimate is sure, and no touch would tell more
 
 
@@ -77,11 +82,6 @@ class Advisor:
         """Begin anew, as the belief has changed; advice that was given stays until there is new."""
         self._work: Generator[None, None, Advice] | None = self._pieces()
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether `step` has something to do."""
-        return self._work is not None
-
     def step(self) -> bool:
         """Do a piece of work; → whether there is new advice."""
         if self._work is None:
@@ -105,9 +105,10 @@ class Advisor:
         for link in range(len(estimator.model.links)):
             judged += yield from self._judged(found, outcomes, link)
         judged.sort(key=lambda each: each[0])
-        best = tuple(approach for _, approach in judged[:MOST])
+        best = tuple(approach for _, approach in judged)
         is_sure = estimator.estimate.status == Status.CONVERGED
-        is_enough = is_sure and (not judged or outcomes.now_m - judged[0][0] < LITTLE_M)
+        # to better an estimate by less than is unmodelled is no reason for a touch
+        is_enough = is_sure and (not judged or outcomes.now_m - judged[0][0] < UNMODELLED_M)
         return Advice(contacts, best, is_enough)
 
     def _judged(
@@ -120,7 +121,7 @@ class Advisor:
             yield
             free.append(some)
             ways.append(way)
-            left.append(outcomes.by_travel(way[:, of.modes :]).cost_m)
+            left.append(outcomes.by_travel(way[:, of.modes :]))
             yield
         cost = np.concatenate([np.empty(0), *left])
         where = [(block, row) for block, some in enumerate(free) for row in range(len(some))]
@@ -129,12 +130,7 @@ class Advisor:
             block, row = where[c]
             line, way = free[block].only(slice(row, row + 1)), ways[block][row]
             told = outcomes.by_reading(line, way[of.modes :], self._depth_m(link))
-            judged.append(
-                (
-                    float(told.cost_m[0]),
-                    self._approach(line, way, of, told, float(cost.mean())),
-                )
-            )
+            judged.append((told.cost_m, self._approach(line, way, of, told, float(cost.mean()))))
             yield
         return judged
 
@@ -147,7 +143,7 @@ class Advisor:
             own = of.object == k
             centre[own] = estimator.bank.rules[k].metric.centres(of.pose[own])
             model = estimator.known[k].model.links[link]
-            size[own] = model.scene.size + model.layout.radius_m
+            size[own] = model.scene.reach + model.layout.radius_m
         middle = of.weight @ centre
         around_m = float((np.linalg.norm(centre - middle, axis=1) + size).max())
         return lines.fan(
@@ -164,7 +160,7 @@ class Advisor:
             gap[:, own] = lines.gap_before(some, model, of.pose[own])
             way[:, own] = lines.travel(some, model, of.pose[own])
         is_clear = (gap >= self._config.clearance_m).all(axis=1)
-        kept = np.flatnonzero(is_clear & np.isfinite(way).any(axis=1))
+        kept = np.flatnonzero(is_clear & (np.isfinite(way) @ of.weight > 0.0))
         return some.only(kept), way[kept]
 
     @property
@@ -194,7 +190,7 @@ class Advisor:
             until,
             float(line.direction[0]),
             self._depth_m(line.link),
-            float(told.sure[0]) * (1.0 - self._estimator.estimate.hypotheses.other),
-            mean_m - float(told.cost_m[0]),
+            told.sure * (1.0 - self._estimator.estimate.hypotheses.other),
+            mean_m - told.cost_m,
             float(of.weight[touched].sum()),
         )

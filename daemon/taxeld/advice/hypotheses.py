@@ -75,6 +75,15 @@ def drawn(
     )
 
 
+def at_once(work: Generator[None, None, Guesses]) -> Guesses:
+    """The guesses of all steps together."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as done:
+            return done.value  # type: ignore[no-any-return]
+
+
 def _fresh(
     estimator: Estimator, k: int, rng: np.random.Generator
 ) -> Generator[None, None, Belief | None]:

@@ -13,9 +13,7 @@ FAN = 24  # directions, where none are named
 BESIDE = 9  # lines of each direction, where no offsets are named
 PAST_M = 0.01  # m behind the last hypothesis at which an approach ends
 FELT_M = 1e-3  # m: a press that is felt, wherever the nearest taxel is
-EXACT_M = 3e-4  # m: so near is touched
-STEP_M = 1e-3  # m: shortest step along a line
-STEPS_MAX = 24
+TOGETHER = 64  # lines and poses whose way to all points of an edge is found at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,32 +90,26 @@ def _turned(config: AdviceConfig, yaw: Floats) -> Floats:
 
 def travel(lines: Lines, model: ObservationModel, poses: Poses) -> Floats:
     """(C, K) how far the link goes on C lines until it feels an object at poses (K, 3); inf where
-    it passes by."""
+    it passes by. The object's edge is taken for points (`Scene.edge`): what lies between two of
+    them may be met a fraction of a millimetre late."""
     link = model.links[lines.link]
-    scene, radius_m = link.scene, link.layout.radius_m
+    scene, reach_m = link.scene, link.layout.radius_m - FELT_M
     x, y, dx, dy = _seen(lines, poses)
-    # the link is near the object within a circle about it
-    far, nx, ny = scene.size + radius_m - FELT_M, x - scene.centre[0], y - scene.centre[1]
-    ahead = -(nx * dx + ny * dy)
-    square = far * far - (nx * nx + ny * ny - ahead * ahead)
-    half = np.sqrt(np.maximum(square, 0.0))
-    way = np.maximum(ahead - half, 0.0)
-    last = np.minimum(ahead + half, lines.length_m[:, None])
-    found = np.full(way.shape, np.inf)
-    at = np.flatnonzero((square > 0.0) & (way <= last))
-    left = np.array([x, y, dx, dy, way, last]).reshape(6, -1).take(at, axis=1)
-    for _ in range(STEPS_MAX):
-        x, y, dx, dy, way, last = left
-        if not len(way):
-            break
-        gap = _gap(link, x + way * dx, y + way * dy) + FELT_M
-        touched = gap < EXACT_M
-        found.flat[at[touched]] = way[touched]
-        left[4] += np.maximum(gap, STEP_M)
-        goes_on = np.flatnonzero(~touched & (left[4] <= last))
-        at, left = at.take(goes_on), left.take(goes_on, axis=1)
-    found.flat[at] = left[4]  # so close for so long
-    return found
+    found = np.where(_gap(link, x.ravel(), y.ravel()).reshape(x.shape) < -FELT_M, 0.0, np.inf)
+    nx, ny = x - scene.centre[0], y - scene.centre[1]
+    at = np.flatnonzero((np.abs(dx * ny - dy * nx) < scene.reach + reach_m) & np.isinf(found))
+    edge = np.vstack([scene.edge.T, np.ones(len(scene.edge))]).astype(np.float32)
+    of_each = np.array([dx, dy, -dx * x - dy * y, -dy, dx, dy * x - dx * y], np.float32)
+    of_each = of_each.reshape(2, 3, -1).take(at, axis=2)
+    for first in range(0, len(at), TOGETHER):
+        block = slice(first, first + TOGETHER)
+        way, aside = np.swapaxes(of_each[:, :, block], 1, 2) @ edge
+        aside *= aside
+        with np.errstate(invalid="ignore"):
+            way -= np.sqrt(reach_m * reach_m - aside)  # NaN where the link passes by
+            way[way < 0.0] = np.nan  # left behind
+        found.flat[at[block]] = np.fmin.reduce(way, axis=1)
+    return np.where(found <= lines.length_m[:, None], found, np.inf)
 
 
 def gap_before(lines: Lines, model: ObservationModel, poses: Poses) -> Floats:

@@ -17,10 +17,10 @@ from taxeld.proposals import bundle, choice, several
 from taxeld.proposals.manifest import FilterEntry
 from taxeld.service import calibration_file
 from taxeld.source import dialects, session
+from taxeld.source.buses import check_uids, joint
 from taxeld.source.device import BusyError
 from taxeld.source.devices import open_device
 from taxeld.source.socketcan_device import bring_up
-from taxeld.source.sources import check_uids, joint
 from taxeld.stream import client, curve, messages
 
 SYS_NET = Path("/sys/class/net")
@@ -58,17 +58,15 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
         except SetupError as error:
             found.append(str(error))
 
-    each = [config.of_link(k) for k in range(len(config.names))]
-
     def use_layouts() -> None:
-        skins = [layouts.load(one.skin.layout) for one in each]
+        skins = [layouts.load(one.skin.layout) for one in config.each]
         for bus, numbers in links.buses(config):
             own = [skins[k] for k in numbers]
             attempt(check_uids, [config.names[k] for k in numbers], own)
             attempt(_read_source, bus, joint(own))
         if config.scene.names:
             attempt(_open_bundle, config, skins)
-        for one, skin in zip(each, skins, strict=True):
+        for one, skin in zip(config.each, skins, strict=True):
             attempt(calibration_file.of, one, skin)
 
     attempt(use_layouts)
@@ -126,7 +124,7 @@ def _read_source(source: SourceConfig, skin: Layout) -> None:
 
 
 def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
-    bundles = several.load(config.scene, skins[0], config.skin.full_scale_depth_m, skins[1:])
+    bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
     first = several.leading(bundles)
     for name in choice.open_all(first, config.filter):
         for one in bundles:

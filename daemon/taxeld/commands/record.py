@@ -8,16 +8,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from taxeld.config import links
-from taxeld.config.tables import Config
+from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
 from taxeld.pipeline.poses import OnPose, PoseTrack
 from taxeld.service.doorkeeper import Doorkeeper, poses_alone
-from taxeld.source import module_order
+from taxeld.source import buses, module_order
 from taxeld.source.recorder import Recorder
 from taxeld.source.source import Source
-from taxeld.source.sources import check_uids, joint, open_source
+from taxeld.source.sources import open_source
 from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Decoder, Scan
 
@@ -37,8 +37,7 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
     named = Path(config.skin.calibration) if config.skin.calibration else None
     moves = bool(config.sensor_pose.endpoint)
     recorder = Recorder(directory, moves=moves, config=config_path, calibration=named)
-    for k, name in enumerate(config.names[1:], 1):
-        recorder.beside[k] = Recorder(directory / name, moves=moves)
+    recorder.beside = [Recorder(directory / name, moves=moves) for name in config.names[1:]]
     return recorder
 
 
@@ -78,17 +77,17 @@ class Recording:
             track = PoseTrack(recorder.pose)
             link = Link({}, _taken(track), {})
             opened.callback(link.detach)
-            sources = list[Source]()
-            for bus, numbers in links.buses(config):
-                skins = [layouts.load(config.of_link(k).skin.layout) for k in numbers]
-                check_uids([config.names[k] for k in numbers], skins)
-                own = recorder.beside[numbers[0]] if numbers[0] else recorder
-                source = open_source(bus, joint(skins), own)
+
+            def open_one(bus: SourceConfig, skin: Layout, first: int) -> Source:
+                source = open_source(bus, skin, recorder.of(first))
                 opened.callback(source.close)
                 if source.comes_by_door:
                     link.on_array = source.hear
-                sources.append(source)
-            for k, beside in recorder.beside.items():
+                return source
+
+            skins = [layouts.load(one.skin.layout) for one in config.each]
+            sources = [bus.source for bus in buses.opened(config, skins, open_one)]
+            for k, beside in enumerate(recorder.beside, 1):
                 link.on_poses[k] = _taken(PoseTrack(beside.pose))
             door.wait(link)
             while not self.stopping and not self.failed:

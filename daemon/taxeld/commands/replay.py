@@ -19,15 +19,14 @@ from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.pipeline.skin_server import SkinServer
 from taxeld.proposals import bundle, several
 from taxeld.service import calibration_file
 from taxeld.service.clock import is_step
 from taxeld.skin.patches import Patches
 from taxeld.source import dialects, session
+from taxeld.source.buses import Bus, joint
 from taxeld.source.session import Chunk, PoseRow
 from taxeld.source.source import Source
-from taxeld.source.sources import Bus, joint
 from taxeld.source.wire import Wire
 from taxeld.stream import messages
 from taxeld_protocol.array import ArrayFrame
@@ -113,7 +112,7 @@ def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator
     """
     recorded = Replay(directory, config, seed)
     for seq, outcome in enumerate(recorded):
-        if not recorded.pipeline.has_object:
+        if not recorded.names:
             yield json.dumps(recorded.contacts(outcome, seq), separators=(",", ":"))
             continue
         why = recorded.why(outcome.estimate)
@@ -136,9 +135,8 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     """
     where = str(directory) if session.has_poses(directory) else ""
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
-    each = [config.of_link(k) for k in range(len(config.names))]
     try:
-        skin, *further = (layouts.load(one.skin.layout) for one in each)
+        skins = [layouts.load(one.skin.layout) for one in config.each]
         for name in config.scene.names:
             bundle.find(name, "scene.bundles" if config.scene.bundles else bundle.KEY)
     except SetupError as error:
@@ -146,24 +144,20 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
             f"{error}; a session does not hold its layout and its bundle: name them in "
             f"{directory / session.CONFIG}, by whole paths, or in another file with --config"
         ) from None
-    begun = session.begun(directory) if any(one.skin.calibration for one in each) else 0.0
+    begun = session.begun(directory) if any(one.skin.calibration for one in config.each) else 0.0
     calibration = [
         calibration_file.load(one.skin, layout, begun, recorded=True)
-        for one, layout in zip(each, (skin, *further), strict=True)
+        for one, layout in zip(config.each, skins, strict=True)
     ]
-    if not config.scene.names:
-        return SkinServer(config, [skin, *further], calibration=calibration, extrapolate_s=0.0)
-    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m, further)
+    bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
     config = several.sized(config, [one.manifest for one in bundles])
-    model, *more = (one.model for one in bundles)
-    # all poses are known, so each scan is placed between two and none is extrapolated
     return Pipeline(
         config,
-        model,
+        skins,
+        [one.model for one in bundles],
         several.untimed(bundles, config.filter),
         calibration=calibration,
-        extrapolate_s=0.0,
-        more=more,
+        extrapolate_s=0.0,  # all poses are known, so each scan is placed between two
     )
 
 
@@ -200,9 +194,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
         scans: list[list[Scan]] = [[] for _ in pipeline.stages]
         if isinstance(of, Bus) and isinstance(came, Item):
             for heard in of.source.wire.take([came]):
-                for scan in heard.scans:
-                    for k in of.links_of(scan):
-                        scans[k].append(scan)
+                of.sort(heard.scans, scans)
             yield from pipeline.advance(scans[0], now[1], *scans[1:])
         elif isinstance(of, int) and not isinstance(came, Item):
             yield from pipeline.advance((), now[1])

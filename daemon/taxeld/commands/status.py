@@ -115,7 +115,6 @@ def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator
 
 
 def _link(link: dict[str, Any]) -> str:
-    """Whether one of several links works, or why not."""
     dead = f"{len(link['dead_taxels'])} dead taxels"
     try:
         why = Why(link["why"])
@@ -136,7 +135,6 @@ def _calibration(used: dict[str, Any]) -> str:
 
 
 def _doubt(used: dict[str, Any]) -> str:
-    """The doubt that touches raise about a calibration, and the cure."""
     try:
         suspect = Suspect(used["suspect"])
     except ValueError:

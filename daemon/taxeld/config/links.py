@@ -32,9 +32,7 @@ def completed(config: Config) -> Config:
     )
     named = tuple(
         replace(
-            link,
-            name=link.name or f"link{k}",
-            source=link.source if link.source.keys else common,
+            link, name=link.name or f"link{k}", source=link.source if link.source.keys else common
         )
         for k, link in enumerate(config.links, 1)
     )

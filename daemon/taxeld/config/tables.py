@@ -15,6 +15,7 @@ from taxeld_protocol.slcan import BITRATES
 
 SIZES = ("particles", "particles_max", "injected")  # keys of the filter's size
 OBJECTS_MAX = 16  # objects that one skin may touch
+KINDS = ("can", "serial", "array", "replay")  # of sources
 LEVELS = ("debug", "info", "warning", "error")  # levels of the log
 
 
@@ -100,8 +101,8 @@ class SkinConfig:
 
 @dataclass(frozen=True, slots=True)
 class SourceConfig:
-    kind: str = key(check=one_of("can", "serial", "array", "replay"), doc="where frames come from")
-    dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol")
+    kind: str = key(check=one_of(*KINDS), doc=", ".join(KINDS))
+    dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol: cyskin, icub")
     boards: tuple[int, ...] = key(
         (), _boards, "dialect icub: the part's boards, in its layout's order; empty: they are asked"
     )
@@ -230,17 +231,14 @@ class FilterConfig:
     particles_max: int = key(400, between(2, 100_000), "N while the belief is wide, at most")
     injected: int = key(50, between(0, 10_000), "S, samples a touch brings")
     proposal: str = key(
-        "auto",
-        doc="where they come from; auto: the bundle's best that fits the budget",
+        "auto", doc="where they come from; auto: the bundle's best that fits the budget"
     )
     injection: str = key(
         "mixture",
         one_of("mixture", "paper"),
-        "how they enter: weighed against all that is remembered, or by Algorithm 1 of the paper",
+        "mixture: weighed against all that is remembered; paper: by its Algorithm 1",
     )
-    motion: str = key(
-        "none", one_of("none", "push"), "what the object does: stands still, or gives way to a push"
-    )
+    motion: str = key("none", one_of("none", "push"), "push: the object gives way")
     nudge_m: float = key(0.001, between(0, 0.05), "sd of what the object gives way at a touch")
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")
@@ -348,9 +346,7 @@ class CurveConfig:
 @dataclass(frozen=True, slots=True)
 class LogConfig:
     level: str = key(
-        "info",
-        one_of(*LEVELS),
-        "what is logged on standard error; read again at SIGHUP",
+        "info", one_of(*LEVELS), "what is logged on standard error; read again at SIGHUP"
     )
 
 
@@ -389,6 +385,11 @@ class Config:
         link = self.links[number]
         own = link.source.over(SourceConfig("can")) if link.source.keys else self.source
         return replace(self, skin=link, source=own, links=())
+
+    @property
+    def each(self) -> "list[Config]":
+        """The configuration of each link, as if it were the only one."""
+        return [self.of_link(k) for k in range(len(self.names))]
 
     @property
     def names(self) -> tuple[str, ...]:

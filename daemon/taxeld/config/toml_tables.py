@@ -6,7 +6,6 @@ keys that a table once had are listed in its `GONE`, each with what replaces it.
 
 import difflib
 import math
-import re
 import reprlib
 import tomllib
 from collections.abc import Callable, Mapping
@@ -19,9 +18,6 @@ T = TypeVar("T")
 
 INTEGER_MAX = 1 << 63  # limit of TOML's own integers
 KEY_SHOWN = 60  # characters of a key in a message
-DEEPEST = 16  # parts of a dotted key; tomllib takes minutes and gigabytes for thousands
-_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
-_TOO_DEEP = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}")
 
 
 class ConfigError(SetupError):
@@ -66,10 +62,6 @@ def unwritten(default: Any) -> Any:
 
 def loads(text: str) -> dict[str, Any]:
     """The values of TOML text. Raises ValueError with the fault."""
-    deep = _TOO_DEEP.search(text)
-    if deep:
-        line = text.count("\n", 0, deep.start()) + 1
-        raise ValueError(f"line {line}: more than {DEEPEST} names are joined by dots")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -81,8 +73,6 @@ def loads(text: str) -> dict[str, Any]:
 
 
 class _Short(reprlib.Repr):
-    """Shortens values of a file for a message."""
-
     def __init__(self) -> None:
         super().__init__()
         self.maxstring = self.maxother = 80

@@ -77,8 +77,8 @@ class Datagrams:
     def waits_on(self) -> Any:
         return self._socket.fileno()
 
-    def poll(self, now_s: float) -> bool:
-        """Take the datagrams that have arrived; the socket is always the same."""
+    def poll(self, now_s: float) -> None:
+        """Take the datagrams that have arrived."""
         for _ in range(DATAGRAMS_PER_LOOK):
             try:
                 body, sender = self._socket.recvfrom(DATAGRAM_BYTES)
@@ -92,7 +92,6 @@ class Datagrams:
                 continue
             self._heard_s, self.line.connected = now_s, True
             take(self.line, body, self._on_array)
-        return False
 
     def look(self, now_s: float) -> bool:
         """Whether somebody sends; the socket is always the same."""

@@ -1,10 +1,7 @@
-"""Endpoints, bound: a socket file belongs to the daemon and is there as long as it runs."""
+"""Endpoints, bound: a socket file belongs to the daemon, and goes with it."""
 
-import errno
-import logging
 import os
 import socket as kernel
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +14,6 @@ from taxeld.stream.sockets import why
 
 BACKLOG = 128
 PROBE_S = 1.0
-TRIES, TRY_S = 100, 0.01  # to have a port again that a socket before has left
-log = logging.getLogger(__name__)
 
 
 class ServedError(SetupError):
@@ -26,7 +21,7 @@ class ServedError(SetupError):
 
 
 class Binding:
-    """An endpoint that is served by one socket of ZeroMQ's after another.
+    """An endpoint that is served by a socket of ZeroMQ's.
 
     The file of an ipc endpoint is made and removed here. ZeroMQ would take the file of a living
     daemon, and would remove one later on when another daemon's may stand there.
@@ -39,7 +34,6 @@ class Binding:
         self._path = endpoints.ipc_path(endpoint)
         self._listening: kernel.socket | None = None  # listening socket of an ipc endpoint
         self._file: tuple[int, int] | None = None
-        self._is_lost = self._was_bound = False
         if self._path is not None:
             make_way(self._path, key)
             try:
@@ -53,29 +47,11 @@ class Binding:
         if self._listening is not None:
             socket.setsockopt(zmq.USE_FD, os.dup(self._listening.fileno()))
         try:
-            self._bind(socket)
+            socket.bind(self._endpoint)
         except zmq.ZMQError as error:
             raise self._fault(why(error)) from None
         finally:
             socket.setsockopt(zmq.USE_FD, -1)
-        self._was_bound = True
-
-    def restore(self, socket: zmq.Socket[Any]) -> None:
-        """Make the file again where it has vanished. Peers that are connected stay so."""
-        if self._path is None or _identity(self._path) == self._file:
-            return
-        try:
-            if os.path.lexists(self._path):
-                raise FileExistsError(0, "something else stands in its place")
-            self._listen(self._path)
-            self.let_in(socket)
-        except (OSError, SetupError) as error:
-            if not self._is_lost:  # said once, and tried again
-                log.warning("%s: %s is lost: %s", self._key, self._path, error)
-            self._is_lost = True
-            return
-        self._is_lost = False
-        log.warning("%s: %s had vanished and was bound again", self._key, self._path)
 
     def close(self) -> None:
         if self._listening is not None and self._path is not None:
@@ -97,21 +73,7 @@ class Binding:
         made.setblocking(False)
         pair.refuse_descriptors(made)
         made.listen(BACKLOG)
-        if self._listening is not None:
-            self._listening.close()
         self._listening, self._file = made, _identity(path)
-
-    def _bind(self, socket: zmq.Socket[Any]) -> None:
-        for _ in range(TRIES if self._was_bound and self._listening is None else 0):
-            try:
-                socket.bind(self._endpoint)
-            except zmq.ZMQError as error:  # ZeroMQ has not closed the socket before yet
-                if error.errno != errno.EADDRINUSE:
-                    raise
-                time.sleep(TRY_S)
-            else:
-                return
-        socket.bind(self._endpoint)
 
     def _fault(self, reason: str) -> SetupError:
         return SetupError(

@@ -17,8 +17,7 @@ import msgpack
 import zmq
 
 from taxeld.door.binding import Binding
-from taxeld.stream import sockets
-from taxeld.stream.sockets import credentials, open_socket, sender, unpack
+from taxeld.stream.sockets import credentials, is_waiting, open_socket, sender, unpack
 from taxeld.told import ToldPose, told_pose
 
 REQUESTS_AT_ONCE = 64
@@ -39,48 +38,32 @@ Change = Callable[[int, str | ToldPose], bool]  # request, and what to do → wh
 
 
 class Control:
-    """Serves one endpoint by a ROUTER: with REP a client that breaks off would wedge it.
-
-    A message of too many frames would take long to be read to its end. It costs the socket, with
-    all that waits in it; clients are connected to the next one by themselves, and ask again.
-    """
+    """Serves one endpoint by a ROUTER: with REP a client that breaks off would wedge it."""
 
     def __init__(
-        self,
-        opened: Callable[[], zmq.Socket[Any]],
-        endpoint: str,
-        key: str,
-        may_change: MayChange,
+        self, socket: zmq.Socket[Any], endpoint: str, key: str, may_change: MayChange
     ) -> None:
-        """`opened` makes a socket from `open_router`; `may_change`: why the peer that sent a frame
-        may not change anything, empty where it may.
+        """`socket`: from `open_router`; `may_change`: why the peer that sent a frame may not change
+        anything, empty where it may.
 
         Raises:
             SetupError: the endpoint cannot be had, in the name of `key`.
         """
-        self._opened, self._may_change = opened, may_change
+        self.socket, self._may_change = socket, may_change
         self._binding = Binding(endpoint, key)
-        self.socket = self._open()
+        self._binding.let_in(socket)
         self._pending: dict[int, tuple[float, list[bytes]]] = {}  # since when, and for whom
 
-    def poll(self, now_s: float, answers: Mapping[str, Callable[[], Body]], change: Change) -> bool:
-        """Answer requests that have come; → whether the socket is another one now. `now_s` is
-        monotonic."""
+    def poll(self, now_s: float, answers: Mapping[str, Callable[[], Body]], change: Change) -> None:
+        """Answer requests that have come; `now_s` is monotonic."""
         for _ in range(REQUESTS_AT_ONCE):
-            try:
-                parts = sockets.frames(self.socket)
-            except zmq.Again:
-                return False
-            if parts is None:
-                self.socket.close()
-                self.socket = self._open()
-                self._pending.clear()
-                return True
-            *route, body = parts
-            answer = self._answer(now_s, [frame.bytes for frame in route], body, answers, change)
+            if not is_waiting(self.socket):
+                return
+            *frames, body = self.socket.recv_multipart(zmq.NOBLOCK, copy=False)
+            route = [frame.bytes for frame in frames]
+            answer = self._answer(now_s, route, body, answers, change)
             if answer is not None:
-                self._send([frame.bytes for frame in route], answer)
-        return False
+                self._send(route, answer)
 
     def done(self, number: int, why: str) -> None:
         """The loop's answer to the request of that number; `why` it was not done."""
@@ -88,20 +71,14 @@ class Control:
             self._send(self._pending.pop(number)[1], packed_error(why) if why else packed_ok())
 
     def look(self, now_s: float) -> None:
-        """Tell those whose requests the loop has not answered, and mend the socket file."""
+        """Tell those whose requests the loop has not answered."""
         late = [n for n, (since_s, _) in self._pending.items() if now_s > since_s + PENDING_S]
         for number in late:
             self.done(number, "the loop does not answer; the log of the daemon may say why")
-        self._binding.restore(self.socket)
 
     def close(self) -> None:
         self.socket.close()
         self._binding.close()
-
-    def _open(self) -> zmq.Socket[Any]:
-        socket = self._opened()
-        self._binding.let_in(socket)
-        return socket
 
     def _answer(
         self,

@@ -52,22 +52,13 @@ class Heard:
         """Prefixes of the messages that are wanted."""
         return [self.topic]
 
-    def poll(self, now_s: float) -> bool:
-        """Take the messages that have arrived; → whether the socket is another one now."""
-        try:
+    def poll(self, now_s: float) -> None:
+        """Take the messages that have arrived."""
+        for _ in range(MESSAGES_PER_LOOK):
             if not sockets.is_waiting(self.socket):
-                return False
-            for _ in range(MESSAGES_PER_LOOK):
-                parts = sockets.contents(self.socket)
-                if parts is None:
-                    self._reopen()
-                    return True
-                self._take(now_s, parts)
-        except zmq.Again:
-            pass
-        finally:
-            self._pass_on()
-        return False
+                break
+            self._take(now_s, self.socket.recv_multipart(zmq.NOBLOCK))
+        self._pass_on()
 
     def look(self, now_s: float) -> bool:
         """What has become of the connection, a few times a second; → whether the socket is another

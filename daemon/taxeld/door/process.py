@@ -8,7 +8,6 @@ import socket
 import sys
 import time
 from dataclasses import asdict
-from functools import partial
 from typing import Any, NamedTuple
 
 import msgpack
@@ -18,7 +17,6 @@ from taxeld.config import endpoints
 from taxeld.door import control, sandbox
 from taxeld.door.admission import Admission
 from taxeld.door.arrays import Datagrams, Published, open_arrays
-from taxeld.door.connections import Connections
 from taxeld.door.control import Control, MayChange, packed_error, packed_ok
 from taxeld.door.robot import Robot
 from taxeld.door.settings import Settings
@@ -31,7 +29,7 @@ from taxeld.stream.pair import Kind
 from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, TOPICS
 from taxeld.told import ToldPose
 
-WAIT_MS, HURRY_MS = 100, 2  # for a peer or the loop; the second while memory grows
+WAIT_MS = 100  # for a peer or the loop
 LOOK_S, REPORT_S = 0.1, 1.0
 PACKETS_PER_LOOK = 256
 SILENT_S = 2.0  # without an estimate for so long, the loop hangs
@@ -63,23 +61,18 @@ class Door:
         self._wanted = -1
         self._is_at_work = False  # whether the loop has sent an estimate
         self._next_look_s = self._next_report_s = 0.0
-        self._wait_ms = WAIT_MS
         self._streams: list[Streams] = []
         self._publishers: dict[tuple[str, bool], Streams] = {}  # by key, and whether keys are taken
         self._controls: list[Control] = []
         self._robot: Robot | None = None
         self._array: Published | Datagrams | None = None
         self._admission: Admission | None = None
-        served = (*settings.publish, *settings.relay_publish)
-        asked = filter(None, (settings.control, settings.relay_control))
-        # all that is read of files comes before the process is confined
-        self._connections = Connections((*served, *asked), _heard(settings))
         self._estimates = settings.estimates
+        # all that is read of files comes before the process is confined
         keys = _keys(settings)
         members = control.for_members(settings.change_group)
         self._report.confined = _confine(settings)
         with contextlib.ExitStack() as opened:
-            opened.callback(self._connections.close)
             context: zmq.Context[Any] = opened.enter_context(zmq.Context())
             opened.callback(self._close_all)
             self._open(context, settings, keys, members)
@@ -93,7 +86,7 @@ class Door:
         pair.send(self._end, Kind.READY, b"")
         with contextlib.suppress(EOFError, ConnectionError):
             while True:
-                self._pass(dict(self._poller.poll(self._wait_ms)))
+                self._pass(dict(self._poller.poll(WAIT_MS)))
 
     def close(self) -> None:
         self._opened.close()
@@ -106,7 +99,7 @@ class Door:
         if self._array is not None and self._array.waits_on in ready:
             if self._robot is not None:  # a scan is placed by the poses before it
                 changed |= self._take_poses(self._robot, now_s)
-            changed |= self._array.poll(now_s)
+            self._array.poll(now_s)
         if self._admission is not None and self._admission.socket in ready:
             self._admission.answer()
         for stream in self._streams:
@@ -115,8 +108,7 @@ class Door:
                 self._next_look_s = now_s
         for served in self._controls:
             if served.socket in ready:
-                changed |= served.poll(now_s, self._answers, self._pass_on)
-        self._wait_ms = WAIT_MS if self._connections.is_calm(now_s) else HURRY_MS
+                served.poll(now_s, self._answers, self._pass_on)
         if now_s >= self._next_look_s:
             self._next_look_s = now_s + LOOK_S
             changed |= self._look(now_s)
@@ -125,9 +117,8 @@ class Door:
 
     def _look(self, now_s: float) -> bool:
         """Do the work that need not be done in each pass; → whether the poller must change."""
-        self._connections.survey()
         for stream in self._streams:
-            stream.look(self._connections.there.keys())
+            stream.look()
             stream.greet(now_s, self._info())
         for served in self._controls:
             served.look(now_s)
@@ -148,7 +139,8 @@ class Door:
         would cost more than all else that this process does.
         """
         was_awaited = robot.is_awaited
-        return robot.poll(now_s) or robot.is_awaited is not was_awaited
+        robot.poll(now_s)
+        return robot.is_awaited is not was_awaited
 
     def _take_from_loop(self, now_s: float) -> bool:
         """→ whether the poller must change."""
@@ -214,10 +206,7 @@ class Door:
     def _on_status(self) -> bytes:
         if time.monotonic() > self._estimate_s + SILENT_S:
             return packed_error("the loop is silent; the log of the daemon may say why")
-        latest = {
-            "estimate": self._latest[ESTIMATE],
-            "health": self._latest.get(HEALTH, NOTHING),
-        }
+        latest = {"estimate": self._latest[ESTIMATE], "health": self._latest.get(HEALTH, NOTHING)}
         return packed_ok(**latest, **self._state)
 
     def _on_info(self) -> bytes:
@@ -230,12 +219,9 @@ class Door:
             self._wanted = wanted
 
     def _send_report(self) -> None:
-        report = self._report
-        report.hung_up = sum(stream.hung_up for stream in self._streams)
-        report.crowded_out = self._connections.crowded_out
-        report.hoarders = self._connections.hoarders
-        report.keys_refused = 0 if self._admission is None else self._admission.refused
-        pair.send(self._end, Kind.REPORT, msgpack.packb(asdict(report)))
+        if self._admission is not None:
+            self._report.keys_refused = self._admission.refused
+        pair.send(self._end, Kind.REPORT, msgpack.packb(asdict(self._report)))
 
     def _open(
         self, context: zmq.Context[Any], settings: Settings, keys: _Keys, members: MayChange
@@ -286,15 +272,13 @@ class Door:
         self._publishers[alike].bind(endpoint, key)
 
     def _serve(
-        self,
-        context: zmq.Context[Any],
-        endpoint: str,
-        key: str,
-        may_change: MayChange,
+        self, context: zmq.Context[Any], endpoint: str, key: str, may_change: MayChange
     ) -> None:
         if endpoint:
-            opens = partial(_open_router, context, self._guard_of(endpoint))
-            self._controls.append(Control(opens, endpoint, key, may_change))
+            router = control.open_router(context)
+            if (guard := self._guard_of(endpoint)) is not None:
+                guard.serve(router)
+            self._controls.append(Control(router, endpoint, key, may_change))
 
     def _make_poller(self) -> None:
         self._poller = zmq.Poller()
@@ -357,26 +341,14 @@ def _keys(settings: Settings) -> _Keys:
     )
 
 
-def _open_router(context: zmq.Context[Any], guard: Admission | None) -> zmq.Socket[Any]:
-    router = control.open_router(context)
-    if guard is not None:
-        guard.serve(router)
-    return router
-
-
-def _heard(settings: Settings) -> list[str]:
-    """The endpoints that are connected to."""
-    named = (settings.robot, settings.array)
-    return [each for each in named if each and not each.startswith(endpoints.UDP)]
-
-
 def _confine(settings: Settings) -> bool:
     served = [endpoint for endpoint in (*settings.publish, settings.control) if endpoint]
     for endpoint in served:
         endpoints.make_directory(endpoint)
     directories = {path.parent for path in map(endpoints.ipc_path, served) if path is not None}
     binds = [e for e in (*settings.relay_publish, settings.relay_control) if e]
-    connects = [each for each in _heard(settings) if each.startswith(endpoints.TCP)]
+    heard = settings.robot, settings.array
+    connects = [each for each in heard if each.startswith(endpoints.TCP)]
     return sandbox.confine(directories, map(_port, binds), map(_port, connects))
 
 

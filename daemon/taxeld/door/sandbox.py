@@ -15,7 +15,7 @@ from pathlib import Path
 import zmq
 
 MEMORY_BYTES = 192 << 20  # data of the process, stacks included
-DESCRIPTORS = 16_384  # without one left ZeroMQ ends the process; `Connections` keeps far below
+DESCRIPTORS = 16_384  # without one left ZeroMQ ends the process
 
 CREATE_RULESET, ADD_RULE, RESTRICT_SELF = (
     444,

@@ -12,13 +12,12 @@ from typing import Any
 import zmq
 
 from taxeld.door.binding import Binding
-from taxeld.stream.sockets import connection_of, hang_up, is_waiting, open_socket
+from taxeld.stream.sockets import connection_of, is_waiting, open_socket
 from taxeld.stream.topics import INFO, TOPICS
 
 BEGIN, END = b"\x01", b"\x00"  # the byte before a prefix of topics
 PREFIX_MAX = 1024  # bytes
-EVENTS_MAX = 256  # subscriptions of a peer in COUNTED_S; one that sends more is hung up on
-COUNTED_S = 10.0
+SEND_BYTES = 32_768  # of a slow subscriber in the kernel, over TCP
 EVENTS_PER_LOOK = 512
 EVENTS_QUEUED = 2  # of a peer: with more a look is long while one floods; with 1 no CURVE works
 INFO_S = 0.1  # at least, between two greetings
@@ -30,13 +29,11 @@ class Streams:
     def __init__(self, socket: zmq.Socket[Any]) -> None:
         """`socket`: from `open_publisher`."""
         self.socket = socket
-        self.hung_up = 0  # peers that sent too many subscriptions
         self._prefixes: Counter[bytes] = Counter()  # connections that hear a prefix of our topics
-        self._asked: dict[int, set[bytes]] = {}  # by connection, as its inode
-        self._events: Counter[int] = Counter()  # messages of each connection of late
+        self._asked: dict[tuple[int, int], set[bytes]] = {}  # by descriptor and inode
         self._bindings: list[Binding] = []
         self._greets = False
-        self._next_info_s = self._count_ends_s = -math.inf
+        self._next_info_s = -math.inf
 
     def bind(self, endpoint: str, key: str) -> None:
         """Raises SetupError, in the name of `key`, where the endpoint cannot be had."""
@@ -60,9 +57,6 @@ class Streams:
     def greet(self, now_s: float, info: Collection[bytes]) -> None:
         """Send `/taxeld/info` where a newcomer has asked for it and `info` is not empty; `now_s` is
         monotonic."""
-        if now_s >= self._count_ends_s:
-            self._count_ends_s = now_s + COUNTED_S
-            self._events.clear()
         if self._greets and info and now_s >= self._next_info_s:
             self._greets, self._next_info_s = False, now_s + INFO_S
             self.send(info)
@@ -71,13 +65,11 @@ class Streams:
         """A message: topic, map and time."""
         self.socket.send_multipart(list(frames), flags=zmq.NOBLOCK)
 
-    def look(self, connections: Set[int]) -> None:
-        """`connections`: the inodes of all that are there now."""
-        for gone in self._asked.keys() - connections:
-            prefixes = self._asked.pop(gone)
-            self._prefixes -= Counter(prefixes)
-        for binding in self._bindings:
-            binding.restore(self.socket)
+    def look(self) -> None:
+        """Find who has gone."""
+        for number, inode in list(self._asked):
+            if _inode(number) != inode:
+                self._prefixes -= Counter(self._asked.pop((number, inode)))
 
     def close(self) -> None:
         self.socket.close()
@@ -88,16 +80,9 @@ class Streams:
         number = connection_of(frame)
         if number is None:  # ZeroMQ's own, for a connection that has ended: `look` finds it
             return
-        try:
-            connection = os.fstat(number).st_ino
-        except OSError:
-            return
-        self._events[connection] += 1
-        if self._events[connection] > EVENTS_MAX:
-            self._events[connection] = 0
-            self.hung_up += hang_up(frame)
-            return
-        self._hear(self._asked.setdefault(connection, set()), frame.bytes)
+        inode = _inode(number)
+        if inode is not None:
+            self._hear(self._asked.setdefault((number, inode), set()), frame.bytes)
 
     def _hear(self, asked: set[bytes], event: bytes) -> None:
         """A subscription is 1 and a prefix of topics, the end of one is 0 and that."""
@@ -113,9 +98,17 @@ class Streams:
             self._prefixes -= Counter([prefix])
 
 
+def _inode(number: int) -> int | None:
+    try:
+        return os.fstat(number).st_ino
+    except OSError:
+        return None
+
+
 def open_publisher(context: zmq.Context[Any], queue: int) -> zmq.Socket[Any]:
     """An XPUB that keeps `queue` messages for a slow subscriber and hears each subscription."""
     socket = open_socket(context, zmq.XPUB, send=queue, receive=EVENTS_QUEUED, largest=PREFIX_MAX)
+    socket.setsockopt(zmq.SNDBUF, SEND_BYTES)
     # without these a second subscriber of a topic, and the end of one of two, go unnoticed
     socket.setsockopt(zmq.XPUB_VERBOSE, 1)
     socket.setsockopt(zmq.XPUB_VERBOSER, 1)

@@ -188,20 +188,40 @@ class Mixture:
         return few and int(np.count_nonzero(self.memory.contact)) > 1
 
     def revisit(self, draw: Draw) -> int:
-        """Take a second opinion: samples of a remembered contact, brought to explain all
-        contacts."""
-        if not self.is_open:
+        """Take a second opinion, brought to explain all contacts: first the belief turned by half
+        where that is another pose, then samples of a remembered contact."""
+        if not self.is_open or not self._wanted():
             return 0
-        memory = self.memory
-        scan = int(self._rng.choice(np.flatnonzero(memory.contact)))
-        samples = drawn(draw, memory.scan(scan), self._wanted())
-        if not len(samples):  # none were asked for, or there is no time
-            return 0
+        if not self._revisits and self.metric.order % 2:
+            opinion = self._turned()
+        else:
+            memory = self.memory
+            scan = int(self._rng.choice(np.flatnonzero(memory.contact)))
+            samples = drawn(draw, memory.scan(scan), self._wanted())
+            if not len(samples):  # none were asked for, or there is no time
+                return 0
+            opinion = self.opinion(samples, scan, self._rng)
         self._revisits += 1
-        opinion = self.opinion(samples, scan, self._rng)
         self._become(self._merged(opinion), moves=1)
         self._judge(opinions=1)
-        return len(samples)
+        return len(opinion)
+
+    def _turned(self) -> Belief:
+        """An opinion of the poses a half turn from the belief. What two faces of an object feel
+        like is often much the same on opposite sides, and samples may reach one of these alone."""
+        poses = pf.resample(self.belief, self._wanted(), self._rng).pose
+        turned = self.metric.placed(self.metric.centres(poses), poses[:, 2] + np.pi)
+        opinion = pf.equal(turned, np.empty((len(turned), 0)))
+        pf.roughen(opinion, self._rng, self._scale)
+        opinion.remembered = self.memory.explain(opinion.pose)
+        return injection.anneal(
+            opinion,
+            lambda explained: np.zeros(len(explained)),
+            self.memory.runs.support,
+            self.memory.explain,
+            self._rng,
+            self._scale,
+        )
 
     def adopt(self, memory: Memory, draw: Draw) -> int:
         """Begin with the scans that another object's `memory` has; → the number of samples used."""

@@ -19,6 +19,7 @@ from taxeld.model import se2
 CONTINUOUS = 0  # the `symmetry` of an object of revolution
 HEIGHT_TOLERANCE_M = 0.006  # a slice serves taxels within this height; slices stand 10 mm apart
 FINEST_M, FARTHEST_M = 1e-5, 10.0  # m: least grid spacing, and limit of all lengths
+EDGE = 1.5  # cells: about so far are points of an edge apart
 MOST_TURNS = 360  # the highest order of a symmetry
 
 
@@ -73,6 +74,24 @@ class Scene:
     def mean_radius(self) -> float:
         """Mean distance of the outline from the centre."""
         return float(np.linalg.norm(self.outline - self.centre, axis=1).mean())
+
+    @cached_property
+    def edge(self) -> Floats:
+        """(E, 2) points all along the silhouette's edges, 1 to 2 cells apart."""
+        row, column = np.nonzero(np.abs(self.silhouette) < self.cell)
+        if not len(row):
+            return self.outline
+        at = self.origin + self.cell * np.column_stack([column, row])
+        distance, gx, gy = self.clearance(*at.T)
+        at -= distance[:, None] * np.column_stack([gx, gy])
+        square = np.round(at / (EDGE * self.cell)).astype(np.intp)
+        return np.asarray(at[np.unique(square, axis=0, return_index=True)[1]])
+
+    @cached_property
+    def reach(self) -> float:
+        """Largest distance of an edge from the centre: of all parts, where `outline` is the largest
+        one's alone."""
+        return float(np.linalg.norm(self.edge - self.centre, axis=1).max())
 
     @cached_property
     def equivalents(self) -> Floats:

@@ -1,5 +1,6 @@
 """When advice is worked on: once the belief rests, as after a touch or a miss, and nothing else is
-left to think of. Advice is of that belief alone: once it changes there is none."""
+left to think of. Advice is of that belief alone: once it changes there is none; and as long as it
+does not, an approach that was tried is not named again."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,6 +10,7 @@ from taxeld.arrays import Poses
 from taxeld.model import se2
 
 CALM = 3  # scans in a row that tell nothing new: the sensor stands, and second opinions agree
+MOST = 3  # approaches of an advice
 
 
 class Advising:
@@ -23,13 +25,18 @@ class Advising:
     def changed(self) -> None:
         """The belief is another one."""
         self.advice: Advice | None = None  # on the present belief
+        self._left: list[Approach] = []  # that were not tried since, in sensors' poses
         self._calm, self._is_begun = 0, False
 
-    def on_scan(self, *, told: bool) -> None:
-        """A scan has been taken; `told`: of a touch, or it has changed the belief."""
+    def on_scan(self, sensor: Poses, link: int, *, told: bool, moves: bool) -> None:
+        """A scan of a link has been taken at its sensor's pose (3,); `told`: of a touch, or it has
+        changed the belief; `moves`: the sensor is at another place."""
         if told:
             self.changed()
-        self._calm += not told
+        self._calm = 0 if moves else self._calm + (not told)
+        left = [one for one in self._left if not one.is_at(sensor, link)]
+        if len(left) < len(self._left):
+            self._say(left)
 
     @property
     def has_work(self) -> bool:
@@ -46,7 +53,14 @@ class Advising:
         if self._advisor.step():
             made = self._advisor.advice
             assert made is not None  # noqa: S101  (there is new advice)
-            self.advice = replace(made, approaches=tuple(map(self._as_robot, made.approaches)))
+            self.advice = made
+            self._say(list(made.approaches))
+
+    def _say(self, left: list[Approach]) -> None:
+        """Advise the best of those that are left."""
+        assert self.advice is not None  # noqa: S101  (nothing is left before)
+        best = tuple(map(self._as_robot, left[:MOST]))
+        self._left, self.advice = left, replace(self.advice, approaches=best)
 
     def _as_robot(self, one: Approach) -> Approach:
         """An approach in the poses that the robot sends."""

@@ -1,4 +1,4 @@
-"""From scans to estimates: skin, sensor pose and estimator in one pure object.
+"""From scans to estimates: skins, sensor poses and belief in one pure object.
 
 The daemon's loop and the replay of a session run this same code. Arrivals are handed in with their
 times, so the same arrivals give the same estimates, byte for byte. Durations are measured by the
@@ -11,18 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.advice.advice import Advice, Advisor
+from taxeld.advice.advice import Advice
 from taxeld.arrays import Poses
 from taxeld.config.tables import Config
-from taxeld.estimator.bank import Known
+from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.history import Used
 from taxeld.estimator.rule import EstimatorCounters
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
-from taxeld.pipeline.advising import Advising
+from taxeld.pipeline.believing import Believing
 from taxeld.pipeline.calibrated import calibrated
-from taxeld.pipeline.calibration_check import CalibrationCheck, CalibrationDoubt
+from taxeld.pipeline.calibration_check import CalibrationDoubt
 from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
@@ -34,63 +36,76 @@ from taxeld.skin.state import SkinState
 from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
-CONTACTS, LEAST_CONTACTS = 12, 4  # contacts of a lesson, and of one before all is forgotten
 SILENT_PERIODS = 3.0  # scan periods without a scan: a hub is silent, all is stale
+NO_OBJECT = "there is no object (scene.bundle is empty)"
+NOTHING = Estimate(  # without an object: it carries the status of the inputs, and is not published
+    t=0.0,
+    status=Status.SEARCHING,
+    contact=False,
+    contacts=0,
+    map=se2.IDENTITY,
+    mean=se2.IDENTITY,
+    cov=np.zeros((3, 3)),
+    modes=(),
+    p=0.0,
+    radius_m=0.0,
+    hypotheses=Hypotheses(0.0, 0.0, 1.0),
+    object=0,
+    objects=(),
+    ess=0.0,
+    particles=0,
+    injected=0,
+    proposal=ProposalKind.NONE,
+    targets=(),
+    log_evidence=0.0,
+)
 
 
 class Pipeline:
     """Scans and sensor poses in, outcomes out.
 
-    Times are Unix times outside, also those of the sensor's poses. The skin, the estimator and
-    waiting scans use a time without the steps of the Unix clock: Unix time less `_stepped_s`.
+    Times are Unix times outside, also those of the sensor's poses. The skin, the belief and waiting
+    scans use a time without the steps of the Unix clock: Unix time less `_stepped_s`.
     """
 
     def __init__(
         self,
         config: Config,
-        model: ObservationModel,
+        layouts: Sequence[Layout],
+        objects: Sequence[ObservationModel],
         ladder: Ladder,
-        on_pose: OnPose | None = None,
-        calibration: Calibration | Sequence[Calibration | None] | None = None,
+        on_poses: Sequence[OnPose] = (),
+        calibration: Sequence[Calibration | None] = (),
         extrapolate_s: float = EXTRAPOLATE_S,
-        more: Sequence[ObservationModel] = (),
-        on_poses: Sequence[OnPose | None] = (),
     ) -> None:
-        """`more`: of further objects that may be felt, which the ladder has as well. `on_pose` is
-        called with every accepted sensor pose (t, x, y, θ) of the first link, as the robot sends
-        it, `on_poses` with those of the further ones. `calibration`: of the skin and its mount on
-        the robot, or one for each link. `extrapolate_s`: as of PoseTrack."""
-        given = calibration if isinstance(calibration, Sequence) else [calibration]
+        """`layouts` of each link; `objects` that may be felt, which the ladder has as well: without
+        any the skin is served alone. `on_poses` are called with every accepted sensor pose
+        (t, x, y, θ) of each link, as the robot sends it. `calibration`: of each link's skin and its
+        mount on the robot. `extrapolate_s`: as of PoseTrack."""
+        given = calibration or [None] * len(layouts)
         each = [calibrated(config.of_link(k), one) for k, one in enumerate(given)]
         self.config = config = replace(each[0], links=config.links)
         self.ladder = ladder
         square = config.filter.centre_m, config.filter.half_width_m
-        reach_m = max(_reach_m(link) for one in [model, *more] for link in one.links)
+        reach_m = max((_reach_m(link) for one in objects for link in one.links), default=0.0)
         silent_s = [max(SCAN_AGE_S, SILENT_PERIODS * one.source.period_ms / 1e3) for one in each]
         self.freshness = Freshness(max(silent_s), *square, reach_m, len(each))
         self.stages = [
             LinkStage(
                 one,
-                link.layout,
-                s,
-                fresh,
-                [on_pose, *on_poses][k] if k <= len(on_poses) else None,
+                layouts[k],
+                silent_s[k],
+                self.freshness.links[k],
+                on_poses[k] if on_poses else None,
                 given[k],
                 extrapolate_s,
             )
-            for k, (one, link, s, fresh) in enumerate(
-                zip(each, model.links, silent_s, self.freshness.links, strict=True)
-            )
+            for k, one in enumerate(each)
         ]
-        others = [Known(one, ladder.of(k), ladder.beside(one)) for k, one in enumerate(more, 1)]
-        robot_m, most = config.sensor_pose.sigma_m, config.scene.max_objects
-        beside = ladder.beside(model)
-        self.estimator = Estimator(model, ladder, config.filter, robot_m, others, most, beside)
-        self._judge_by(self.estimator.estimate.object)
-        advisor = Advisor(self.estimator, config.advice) if config.advice.enabled else None
-        self._advising = Advising(advisor, [stage.poses.mount for stage in self.stages])
-        self._learns = config.skin.learn and config.filter.motion == "none"
-        self.estimate = self.freshness.judged(self.estimator.estimate)
+        self.believing: Believing | None = None  # None: without an object
+        if objects:
+            self.believing = Believing(config, objects, ladder, self.stages)
+        self.estimate = self.freshness.judged(self._believed)
         self.thinks_at_once = True  # whether a scan's second opinion is part of the work on it
         self._stepped_s = 0.0  # total steps of the Unix clock since start [s]
 
@@ -118,24 +133,20 @@ class Pipeline:
             yield self._take(self._next())
 
     @property
-    def has_object(self) -> bool:
-        """Whether an object is known; else the skin is served alone."""
-        return True
+    def estimator(self) -> Estimator:
+        """Of the objects, of which there is one at least."""
+        assert self.believing is not None  # noqa: S101
+        return self.believing.estimator
 
     @property
     def advice(self) -> Advice | None:
         """Where to touch next; None while the belief changes, and where that is not enabled."""
-        return self._advising.advice
-
-    @property
-    def counted(self) -> EstimatorCounters:
-        """Counters of the estimator, since start."""
-        return self.estimator.counters
+        return None if self.believing is None else self.believing.advice
 
     @property
     def doubt(self) -> CalibrationDoubt:
-        """The doubt that touches raise about the calibration."""
-        return self.check.doubt
+        """The doubt that touches raise about the calibration; there is none without an object."""
+        return CalibrationDoubt() if self.believing is None else self.believing.check.doubt
 
     @property
     def skin(self) -> Skin:
@@ -158,25 +169,25 @@ class Pipeline:
         return any(stage.waiting for stage in self.stages)
 
     @property
+    def is_touched(self) -> bool:
+        """Whether a skin is."""
+        return any(stage.skin.touched for stage in self.stages)
+
+    @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do, and no scan waits."""
-        return (self._has_opinion or self._advising.has_work) and not self.has_waiting
+        return self.believing is not None and self.believing.has_thought and not self.has_waiting
 
     def think(self) -> Outcome | None:
-        """After a scan that told nothing new, take a step of the calibration's check, and a second
-        opinion on the belief; → its estimate where that has changed, and the time of this work.
-        Where there is neither, do a piece of work on advice."""
-        if not self._has_opinion:
-            self._advising.step()
+        """Think as `Believing.think` does; → the estimate where that has changed, and the time of
+        this work."""
+        if self.believing is None:
             return None
-        clock = self.ladder.clock
-        start, proposed_ns = clock(), self.ladder.spent_ns
-        if not self._consider():
+        began = self._clocks()
+        if not self.believing.think():
             return None
-        self.estimate = self.freshness.judged(replace(self.estimator.estimate, t=self.estimate.t))
-        propose_ns = self.ladder.spent_ns - proposed_ns
-        filter_ns = clock() - start - propose_ns
-        return Outcome(self.estimate, propose_ns=propose_ns, filter_ns=filter_ns)
+        self.estimate = self.freshness.judged(replace(self._believed, t=self.estimate.t))
+        return Outcome(self.estimate, None, None, 0, *self._spent_since(*began))
 
     def clock_stepped(self, by: float) -> None:
         """The Unix clock was set forward by `by` seconds.
@@ -193,7 +204,7 @@ class Pipeline:
 
     def health(self) -> dict[str, Any]:
         """Counters of the estimator, and of the first link's skin, since start."""
-        counted = self.counted
+        counted = EstimatorCounters() if self.believing is None else self.estimator.counters
         return {
             "estimator": {
                 "scans": counted.scans,
@@ -216,14 +227,34 @@ class Pipeline:
             stage.tare()
         self.estimate = self.freshness.judged(self.estimate)
 
-    def reset(self) -> None:
-        """Forget all touches; samples are tried again as at start."""
-        self._learn(LEAST_CONTACTS)
-        self.ladder.begin_anew()
-        self.estimator.reset()
-        self.check.reset()
-        self._advising.changed()
-        self.estimate = self.freshness.judged(self.estimator.estimate)
+    def reset(self) -> str:
+        """Forget all touches; → why that cannot be done, empty where it was."""
+        if self.believing is None:
+            return f"{NO_OBJECT}, so there is nothing to forget"
+        self.believing.reset()
+        self.estimate = self.freshness.judged(self._believed)
+        return ""
+
+    def restore(self, scans: Sequence[Used]) -> None:
+        """Learn again from what an earlier daemon has felt."""
+        if scans and self.believing is not None:
+            self.believing.restore(scans)
+            self.estimate = self.freshness.judged(self._believed)
+
+    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
+        """As `Believing.tell`."""
+        if self.believing is None:
+            return NO_OBJECT
+        before = self._believed
+        why = self.believing.tell(pose, of)
+        if self._believed is not before:
+            self.estimate = self.freshness.judged(later(self._believed, self._stepped_s))
+        return why
+
+    @property
+    def _believed(self) -> Estimate:
+        """The estimate of the belief, whatever became of the inputs since."""
+        return NOTHING if self.believing is None else self.believing.estimate
 
     def _next(self) -> LinkStage:
         """The link whose first waiting scan is the earliest of all links'."""
@@ -231,24 +262,6 @@ class Pipeline:
             return self.stages[0]
         waiting = (stage for stage in self.stages if stage.waiting)
         return min(waiting, key=lambda stage: stage.waiting[0][1].t)
-
-    def restore(self, scans: Sequence[Used]) -> None:
-        """Learn again from what an earlier daemon has felt."""
-        if scans:
-            self.estimator.restore(scans)
-            self._advising.changed()
-            self.estimate = self.freshness.judged(self.estimator.estimate)
-
-    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
-        """Take a told pose of the objects numbered `of`, else of any; → why it cannot be taken,
-        empty where it was, or says nothing new."""
-        config = self.config
-        if config.filter.injection != "mixture" or config.scene.max_objects > 1:
-            return "prior: needs filter.injection = mixture and scene.max_objects = 1"
-        if self.estimator.tell(pose, of):
-            self._advising.changed()
-            self.estimate = self.freshness.judged(later(self.estimator.estimate, self._stepped_s))
-        return ""
 
     def _take(self, stage: LinkStage) -> Outcome:
         """Work on a link's first waiting scan to its end; the sensor's poses up to its time have
@@ -269,62 +282,35 @@ class Pipeline:
             stage.fresh.last = Why.NO_POSE
             return replace(self._unused(scan, skin_ns, link), activation=later(activation, by))
         stage.fresh.last = Why.VALID
-        spent_ns = skin_ns, *self._believe(activation, sensor, link)
-        return Outcome(self.estimate, later(activation, by), sensor, *spent_ns, link)
-
-    @property
-    def _has_opinion(self) -> bool:
-        """Whether there is a step of the check, or a second opinion, to take."""
-        is_due = self.check.is_due and self.estimator.unconsidered is not None
-        return is_due or self.estimator.has_thought
+        spent_ns = self._believe(activation, sensor, link)
+        return Outcome(self.estimate, later(activation, by), sensor, skin_ns, *spent_ns, link)
 
     def _believe(self, activation: Activation, sensor: Poses, link: int) -> tuple[int, int]:
         """Learn from a link's activation at its sensor's pose (3,); → the time that samples took,
         and that all the rest took [ns]."""
-        clock = self.ladder.clock
-        start, proposed_ns = clock(), self.ladder.spent_ns
-        believed = self.estimator.estimate
-        if believed.object != self._judged:
-            self._judge_by(believed.object)
-        own = [mode for mode in believed.modes if mode.object == believed.object]
-        estimate = self.estimator.learn(activation, sensor, link)
-        if not link:  # a full scale or mount in doubt is the first link's
-            self.check.on_scan(self.estimator.used, own, estimate.contacts)
-        self._advising.on_scan(told=estimate.contact or self.estimator.used is not None)
+        if self.believing is None:
+            felt = replace(NOTHING, t=activation.t, contact=self.is_touched)
+            self.estimate = self.freshness.judged(later(felt, self._stepped_s))
+            return 0, 0
+        began = self._clocks()
+        self.believing.on_scan(activation, sensor, link)
         if self.thinks_at_once:
-            self._consider()
-            while self.estimator.is_behind:
-                self._consider()
-            while self._advising.has_work:
-                self._advising.step()
-            estimate = self.estimator.estimate
-        propose_ns = self.ladder.spent_ns - proposed_ns
-        filter_ns = clock() - start - propose_ns
-        if not estimate.contact:
-            self._learn(CONTACTS)
-        self.estimate = self.freshness.judged(later(estimate, self._stepped_s))
-        return propose_ns, filter_ns
+            self.believing.settle()
+        spent_ns = self._spent_since(*began)
+        if not self._believed.contact:
+            self.believing.teach()
+        self.estimate = self.freshness.judged(later(self._believed, self._stepped_s))
+        return spent_ns
 
-    def _judge_by(self, number: int) -> None:
-        """Judge the calibration by touches of the object of this number, from now on."""
-        model = self.estimator.known[number].model
-        self._judged, self.check = number, CalibrationCheck(model, self.config.filter)
+    def _clocks(self) -> tuple[int, int]:
+        """The time now, and all that samples have taken since start [ns]."""
+        return self.ladder.clock(), self.ladder.spent_ns
 
-    def _learn(self, least: int) -> None:
-        """Have a sure belief teach the skins, once it can tell of so many contacts more."""
-        for number, stage in enumerate(self.stages if self._learns else ()):
-            lesson = self.estimator.taught(least, number)
-            if lesson is not None:
-                stage.skin.teach(lesson)
-
-    def _consider(self) -> bool:
-        """Take a step of the check and a second opinion; → whether the estimate has changed."""
-        if self.estimator.unconsidered is not None:
-            self.check.step()
-        has_changed = self.estimator.think()
-        if has_changed:
-            self._advising.changed()
-        return has_changed
+    def _spent_since(self, start_ns: int, proposed_ns: int) -> tuple[int, int]:
+        """The time that samples took since these clocks, and that all the rest took [ns]."""
+        now_ns, spent_ns = self._clocks()
+        propose_ns = spent_ns - proposed_ns
+        return propose_ns, now_ns - start_ns - propose_ns
 
     def _unused(self, scan: Scan, skin_ns: int, link: int) -> Outcome:
         """The outcome of a scan that did not reach the estimator."""

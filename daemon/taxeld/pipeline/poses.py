@@ -26,10 +26,7 @@ class PoseTrack:
     """The last poses (t, x, y, θ) of the sensor in the world; bounded memory."""
 
     def __init__(
-        self,
-        on_pose: OnPose | None = None,
-        mount: Poses | None = None,
-        extrapolate_s: float = 0.0,
+        self, on_pose: OnPose | None = None, mount: Poses | None = None, extrapolate_s: float = 0.0
     ) -> None:
         """`on_pose` is called with every accepted pose (t, x, y, θ), as it came. `mount` (3,): the
         sensor's frame in the frame of the poses. `extrapolate_s`: longest time

@@ -139,7 +139,6 @@ def manifest_of(name: str) -> Manifest:
 
 
 def _shipped() -> dict[str, Path]:
-    """The shipped bundles by their names."""
     folder = Path(str(resources.files("taxeld") / "bundles"))
     return {path.parent.name: path.parent for path in folder.glob(f"*/{manifest.NAME}")}
 

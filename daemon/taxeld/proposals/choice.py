@@ -32,6 +32,8 @@ def ladder(bundles: Sequence[Bundle], config: Config, clock: ClockNs) -> Ladder:
     Raises:
         SetupError: one of them cannot be used.
     """
+    if not bundles:
+        return Ladder([], clock)
     first = several.leading(bundles)
     opened = open_all(first, config.filter)
     chosen = choose(first, opened, config.filter, config.budget.propose_ms)

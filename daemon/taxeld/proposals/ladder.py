@@ -52,7 +52,8 @@ class Ladder:
     """A proposal that steps down where touches do not fit into their time."""
 
     def __init__(self, rungs: list[Rung], clock: ClockNs = no_clock) -> None:
-        """`rungs`: from the chosen one down; `clock` measures the time in proposals [ns]."""
+        """`rungs`: from the chosen one down, none without an object; `clock` measures the time in
+        proposals [ns]."""
         self.rungs = rungs
         self.clock = clock
         self.spent_ns = 0  # time in proposals, since start
@@ -69,6 +70,11 @@ class Ladder:
         return self.rungs[self._at]
 
     @property
+    def step(self) -> Step:
+        """How far down it is."""
+        return self.rung.step if self.rungs else Step.CHOSEN
+
+    @property
     def name(self) -> str:
         """The proposal in use."""
         return self.rung.proposal.name
@@ -79,13 +85,13 @@ class Ladder:
 
     def of(self, k: int) -> Proposal:
         """The samples of the k-th object: all objects are on one rung."""
-        return OfObject(self, k) if k else self
+        return OnLadder(self, lambda rung: rung.of(k)) if k else self
 
     def beside(self, model: ObservationModel) -> list[Proposal]:
         """Samples of contacts on the further links of a model. Samplers are of the first link, so
         the others have the table, or the analytic proposal that was chosen."""
         kind = ANALYTIC.get(self.rungs[0].proposal.name, Table)
-        return [Beside(self, kind(each)) for each in model.links[1:]]
+        return [OnLadder(self, _always(kind(each))) for each in model.links[1:]]
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
         """Like `Proposal.propose` of the first object: z (M,), live (M,) → (≤ n, 3)."""
@@ -116,32 +122,20 @@ class Ladder:
 
 
 @dataclass(frozen=True, slots=True)
-class OfObject:
-    """The proposal of one object on a ladder."""
-
-    ladder: Ladder
-    k: int
-
-    @property
-    def name(self) -> str:
-        return self.ladder.rung.of(self.k).name
-
-    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
-        """z (M,), live (M,) → object poses (≤ n, 3) in the sensor frame."""
-        return self.ladder.drawn(self.ladder.rung.of(self.k), z, live, n, rng)
-
-
-@dataclass(frozen=True, slots=True)
-class Beside:
+class OnLadder:
     """A proposal that saves samples as a ladder does."""
 
     ladder: Ladder
-    proposal: Proposal
+    of: Callable[[Rung], Proposal]
 
     @property
     def name(self) -> str:
-        return self.proposal.name
+        return self.of(self.ladder.rung).name
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
         """z (M,), live (M,) → object poses (≤ n, 3) in the sensor frame."""
-        return self.ladder.drawn(self.proposal, z, live, n, rng)
+        return self.ladder.drawn(self.of(self.ladder.rung), z, live, n, rng)
+
+
+def _always(proposal: Proposal) -> Callable[[Rung], Proposal]:
+    return lambda _: proposal

@@ -3,17 +3,14 @@
 import contextlib
 import json
 import os
-import re
-import threading
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
-from taxeld.errors import SetupError, one_line
+from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.proposals import manifest
 
@@ -22,10 +19,6 @@ import onnxruntime as ort
 
 TRIED = 8  # samples of the trial call
 MOST_STEPS = 10_000  # limit on the steps of noise
-DEADLINE_S = 30.0  # s to open and try a sampler; the largest shipped one takes half a second
-MEMORY_BYTES = 512 << 20  # limit for all samplers together; the shipped ones take a few MB
-# A graph's node holds its operator's name as field 4: a tag, the length, the name.
-SUBGRAPH = re.compile(rb'"(?:\x04(?:Loop|Scan)|\x02If)')
 
 
 class Sampler:
@@ -38,14 +31,14 @@ class Sampler:
     def __init__(self, graph: bytes, layout: Layout, name: str, path: Path) -> None:
         """`graph`: the content of the ONNX file that messages name by `path`.
 
-        Ends the process, with a line, if opening takes longer than `DEADLINE_S`.
-
         Raises:
             SetupError: it is damaged, or no sampler for this skin.
         """
         self.name = name
-        with _told_of(path), _by_deadline(path):
-            _check_content(graph)
+        with _told_of(path):
+            # this key names weights in other files, which a bundle does not vouch for
+            if b"location" in graph:
+                raise ValueError("it names other files as its weights")
             self._session = _session(graph)
             self._noise_steps = _noise_steps(self._session, layout)
             self._try(len(layout))
@@ -73,16 +66,6 @@ class Sampler:
         poses = self.propose(touch, np.ones(taxels, bool), TRIED, np.random.default_rng(0))
         if poses.shape != (TRIED, 3) or not np.isfinite(poses).all():
             raise ValueError("a touch gets no finite poses")
-
-
-def _check_content(graph: bytes) -> None:
-    """Raises ValueError for content that must not reach onnxruntime."""
-    # this key names weights in other files; onnxruntime up to 1.24 reads any file through it
-    if b"location" in graph:
-        raise ValueError("it names other files as its weights")
-    found = SUBGRAPH.search(graph)
-    if found:
-        raise ValueError(f"it has the operator {found[0][2:].decode()}, which no sampler needs")
 
 
 def _noise_steps(session: Any, layout: Layout) -> int:
@@ -114,46 +97,16 @@ def _told_of(path: Path) -> Iterator[None]:
         raise SetupError(_fault(path, manifest.reason(error))) from None
 
 
-@contextlib.contextmanager
-def _by_deadline(path: Path) -> Iterator[None]:
-    """End the process where the block takes too long: nothing else interrupts onnxruntime."""
-
-    def end() -> None:
-        reason = f"it takes longer than {DEADLINE_S:g} s to open and try"
-        with contextlib.suppress(OSError):  # standard error may be closed
-            os.write(2, one_line(_fault(path, reason)).encode() + b"\n")
-        os._exit(2)
-
-    timer = threading.Timer(DEADLINE_S, end)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-
-
 def _fault(path: Path, reason: str) -> str:
     return f"{path}: unusable sampler ({reason}); build the bundle again"
 
 
-@cache
-def _bound_memory() -> None:
-    """Let onnxruntime allocate within `MEMORY_BYTES` for all samplers of this process."""
-    place = ort.OrtMemoryInfo(
-        "Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT
-    )
-    ort.create_and_register_allocator(place, ort.OrtArenaCfg({"max_mem": MEMORY_BYTES}))
-
-
 def _session(graph: bytes) -> Any:
     """A session of one thread without spinning, which would compete for the loop's core."""
-    _bound_memory()
     options = ort.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.load_model_format", "ONNX")  # avoids a guess
-    options.add_session_config_entry("session.use_env_allocators", "1")
     options.log_severity_level = 4  # faults are raised and reported once
     return ort.InferenceSession(
         graph,
@@ -161,6 +114,5 @@ def _session(graph: bytes) -> Any:
         providers=["CPUExecutionProvider"],
         # a fault would otherwise be printed, and the call repeated
         enable_fallback=0,
-        # onnxruntime up to 1.26 folds without a memory limit, and no timer runs meanwhile
-        disabled_optimizers=["ConstantFolding"],
+        disabled_optimizers=["ConstantFolding"],  # it takes memory, and changes the last digits
     )

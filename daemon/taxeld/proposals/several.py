@@ -18,17 +18,17 @@ OTHER = "other"  # taken among the names in messages, for none of them
 
 
 def load(
-    scene: SceneConfig,
-    layout: Layout,
-    depth_max_m: float | None = None,
-    further: Sequence[Layout] = (),
+    scene: SceneConfig, layouts: Sequence[Layout], depth_max_m: float | None = None
 ) -> list[Bundle]:
-    """Load and validate all bundles that a configuration names, as `bundle.load` does each.
-    `further`: the layouts of further links.
+    """Load and validate all bundles that a configuration names, as `bundle.load` does each, for
+    the `layouts` of its links.
 
     Raises:
         SetupError: one cannot be used, or two do not belong together.
     """
+    if not scene.names:
+        return []
+    layout, *further = layouts
     if len(scene.names) == 1:
         key = "scene.bundles" if scene.bundles else "scene.bundle"
         return [bundle.load(scene.names[0], layout, depth_max_m, key, further)]
@@ -85,6 +85,8 @@ def sized(config: Config, found: Sequence[Manifest]) -> Config:
 
 def untimed(bundles: Sequence[Bundle], config: FilterConfig) -> Ladder:
     """The configured proposal alone, without a clock: the same samples on any machine."""
+    if not bundles:
+        return Ladder([])
     name = leading(bundles).resolve(config.proposal)
     first, *more = (one.open(one.own(name)) for one in bundles)
     return Ladder([Rung(Step.CHOSEN, first, more=more)])

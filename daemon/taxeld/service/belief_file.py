@@ -1,18 +1,15 @@
 """The file that the scans a belief has learned from are kept in, over restarts.
 
-A line of JSON, then single-precision numbers, a row a scan; at most some MB, written seldom, by a
-thread of its own, and replaced whole. A file that is damaged, old or of another configuration is
-not used, and said so in a line.
+A line of JSON, then single-precision numbers, a row a scan; at most some MB. A file that is
+damaged, old or of another configuration is not used.
 """
 
-import contextlib
 import hashlib
 import json
-import logging
 import math
-import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,24 +17,20 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Floats
-from taxeld.config.file import opened
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.history import History, Used
+from taxeld.estimator.history import Used
 from taxeld.estimator.mixture import REMEMBERED, SILENT_MAX
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation
-from taxeld.service.state_file import FUTURE_S, replaced
+from taxeld.service.kept_file import FUTURE_S, KeptFile
 
 NAME = "belief.bin"
 VERSION = 1
 EVERY_S, AT_LEAST_S = 60.0, 240.0  # between two writings out of contact; where nothing is new
-CLOSE_S = 2.0  # time that the last writing may take
 MAX_BYTES = 16_000_000  # the most scans of 5000 taxels have 8 MB
 HEAD_MAX = 1000  # bytes of the line
 HEAD, OF_TAXELS = 7, 8  # numbers of a scan, and of each of its taxels
 NUMBER_MAX, PLACE_MAX = 2**23, 1e4  # of a contact; |x| or |y| [m], |θ| [rad]
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,80 +124,45 @@ class BeliefFile:
     def __init__(self, place: Path | None, estimator: Estimator) -> None:
         config = estimator.config
         is_on = place is not None and config.keep_s > 0.0 and config.motion == "none"
-        self._path = place / NAME if place and is_on else None
+        self._file = KeptFile(place / NAME, MAX_BYTES) if place and is_on else None
         self._keep_s, self._estimator = config.keep_s, estimator
         self._form = Form.of(estimator) if is_on else Form("", (0,))
-        self._written_s, self._changes = -math.inf, 0
-        self._failed = False
-        self._writer: threading.Thread | None = None
+        self._written_s, self._changes = -math.inf, 0  # without a change nothing is written
 
     def read(self, now: float) -> list[Used]:
         """The scans that are kept, if they can be used; `now` is Unix time."""
-        if self._path is None:
-            return []
-        try:
-            with opened(self._path, MAX_BYTES) as file:
-                t, scans = parse(file.read(MAX_BYTES), self._form)
+        found = list[Used]()
+
+        def take(data: bytes) -> None:
+            t, scans = parse(data, self._form)
             if not -FUTURE_S <= now - t <= self._keep_s:
                 raise ValueError(f"it is {now - t:.0f} s old (filter.keep_s)")
-        except FileNotFoundError:
-            return []
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else error
-            log.warning("%s: not used, %s; the object is to be found again", self._path, reason)
-            return []
-        return scans
+            found.extend(scans)
+
+        if self._file is not None:
+            self._file.read(take, "the object is to be found again")
+        return found
 
     def keep(self, now_s: float, wall_s: float) -> None:
         """Have the scans written if it is time to; `now_s` is monotonic. Never blocks."""
-        if self._path is None or self._estimator.estimate.contact:
+        if self._file is None or self._file.is_busy or self._estimator.estimate.contact:
             return
-        history = self._estimator.history
-        passed_s = now_s - self._written_s
-        if passed_s >= (EVERY_S if history.changes != self._changes else AT_LEAST_S):
-            self._written_s, self._changes = now_s, history.changes
-            self._start_writing(history, wall_s)
+        changes, passed_s = self._estimator.history.changes, now_s - self._written_s
+        is_due = passed_s >= (EVERY_S if changes != self._changes else AT_LEAST_S)
+        if is_due and (changes or self._changes):
+            self._written_s, self._changes = now_s, changes
+            self._file.write(self._made(wall_s))
 
     def close(self, wall_s: float) -> None:
         """Write the last scans, unless the disk does not take them in time."""
-        if self._path is not None and self._is_free():
-            self._start_writing(self._estimator.history, wall_s)
-            self._is_free()
+        if self._file is not None:
+            has_any = self._estimator.history.changes or self._changes
+            self._file.close(self._made(wall_s) if has_any else None)
 
-    def remove(self) -> None:
-        """All is forgotten. Never blocks."""
-        if self._path is not None:
-            args = self._path, self._writer
-            self._writer = threading.Thread(target=_unlink, args=args, name="belief", daemon=True)
-            self._writer.start()
+    def forget(self) -> None:
+        """All is forgotten, which the next `keep` writes."""
+        self._written_s, self._changes = -math.inf, -1
 
-    def _is_free(self) -> bool:
-        if self._writer is not None:
-            self._writer.join(CLOSE_S)
-        return self._writer is None or not self._writer.is_alive()
-
-    def _start_writing(self, history: History, wall_s: float) -> None:
-        scans = history.kept()
-        if not scans or (self._writer is not None and self._writer.is_alive()):
-            return
-        if self._path is None:
-            return
-        args = self._path, replace(history, scans=scans), wall_s
-        self._writer = threading.Thread(target=self._write, args=args, name="belief", daemon=True)
-        self._writer.start()
-
-    def _write(self, path: Path, history: History, wall_s: float) -> None:
-        try:
-            replaced(path, dump(history.scans, wall_s, self._form))
-        except OSError as error:
-            if not self._failed:
-                log.warning("%s: not written (%s)", path, error.strerror)
-            self._failed = True
-
-
-def _unlink(path: Path, writer: threading.Thread | None) -> None:
-    """Remove a file, once it is written."""
-    if writer is not None:
-        writer.join()
-    with contextlib.suppress(OSError):
-        path.unlink()
+    def _made(self, t: float) -> Callable[[], bytes]:
+        """Makes the content of Unix time t."""
+        return partial(dump, self._estimator.history.kept(), t, self._form)

@@ -21,7 +21,6 @@ from taxeld.config import links
 from taxeld.config.tables import Config
 from taxeld.door.settings import OOM_SCORE, Settings
 from taxeld.errors import SetupError
-from taxeld.service.notices import Ration
 from taxeld.source.array_source import ArraySource
 from taxeld.source.source import Source
 from taxeld.stream import pair
@@ -56,7 +55,6 @@ class Doorkeeper:
         self._stops = threading.Event()
         self._started: _Started | None = None
         self._process: subprocess.Popen[bytes] | None = None  # the one that the loop has met
-        self._lines = Ration()
         self._was_ready = False
         self._fault = ""  # why the last start failed
         self._thread = threading.Thread(target=self._keep, name="doorkeeper", daemon=True)
@@ -117,7 +115,7 @@ class Doorkeeper:
                 return
             early = early + 1 if time.monotonic() < began_s + EARLY_S else 0
             pause_s = REFUSED_S if status == REFUSED else PAUSES_S[min(early, len(PAUSES_S) - 1)]
-            if status != REFUSED and self._lines.allows(time.monotonic()):
+            if status != REFUSED:
                 log.warning("door: %s; it is started again", _ending(status))
             self._stops.wait(pause_s)
 

@@ -15,18 +15,13 @@ if TYPE_CHECKING:
 
 def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
     """The message; `seq`: of the last estimate, `now_s` is monotonic, `t` Unix time."""
-    config, pipeline, source, recorder = (
-        daemon.config,
-        daemon.pipeline,
-        daemon.source,
-        daemon.recorder,
-    )
-    report, poses = daemon.link.report, daemon.pose_figures(t)
-    written = recorder.counters if recorder else None
+    pipeline, source, report = daemon.pipeline, daemon.inputs.source, daemon.link.report
+    poses = daemon.inputs.pose_figures(daemon.link, t)
+    written = daemon.recorder.counters if daemon.recorder else None
     parts = {
         "uptime_s": now_s - daemon.start_s,
         "loop": daemon.counters,
-        "lat_us": {"total": daemon.latencies.percentiles()["total"]},
+        "lat_us": {"total": daemon.publisher.latencies.percentiles()["total"]},
         "realtime": daemon.realtime,
         "source": {
             **source.wire.stats(),
@@ -53,7 +48,6 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
             "starts": daemon.door.starts,
             "confined": report.confined,
             "unsent": daemon.link.unsent,
-            "disconnected": report.hung_up + report.crowded_out + report.hoarders,
             "keys_refused": report.keys_refused,
         },
         "recording": {
@@ -63,14 +57,15 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
         **pipeline.health(),
     }
     if len(daemon.layouts) > 1:
-        parts["links"] = {name: _link(daemon, k, now_s, t) for k, name in enumerate(config.names)}
+        names = enumerate(daemon.config.names)
+        parts["links"] = {name: _link(daemon, k, now_s, t) for k, name in names}
     return messages.health(seq, t, parts)
 
 
 def _link(daemon: "Daemon", number: int, now_s: float, t: float) -> dict[str, Any]:
     """What one of several links adds: why its scans are of no use, its source, and its skin."""
     stage = daemon.pipeline.stages[number]
-    source = next(bus.source for bus in daemon.buses if number in bus.links)
+    source = next(bus.source for bus in daemon.inputs.buses if number in bus.links)
     return {
         "why": int(daemon.pipeline.freshness.of_links(now_s)[number]),
         "waiting": bool(source.waits_for),

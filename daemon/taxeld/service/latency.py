@@ -5,7 +5,6 @@ import os
 import platform
 import sys
 import time
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -15,30 +14,29 @@ from taxeld.arrays import Index
 
 BOUND_US = 50_000  # bins of 1 µs; longer durations are counted, and known by their maximum
 QUANTILES = {"p50": 0.5, "p99": 0.99}
-ADDED_MAX = 1000  # scans that wait to be counted
 
 
 class Latencies:
-    """A histogram for each stage. Durations are counted together when somebody asks, or when many
-    wait: once a second, and not while a scan is under way. There are two stages or more."""
+    """A histogram for each stage."""
 
     def __init__(self, stages: tuple[str, ...]) -> None:
-        self.scans = 0  # counted in the histograms
+        self.scans = 0
         self._stages = stages
         self._start = time.time()
-        self._added: list[dict[str, float]] = []
         self._bins = np.zeros((len(stages), BOUND_US + 1), dtype=np.int64)  # the last is for longer
+        self._rows = np.arange(len(stages))
         self._sum_us, self._max_us = np.zeros(len(stages)), np.zeros(len(stages))
 
     def add(self, us: dict[str, float]) -> None:
-        """Take a scan's duration of each stage, which is not changed any more."""
-        self._added.append(us)
-        if len(self._added) >= ADDED_MAX:
-            self._count()
+        """Take a scan's duration of each stage."""
+        took = np.array([us[stage] for stage in self._stages])
+        self.scans += 1
+        self._sum_us += took
+        self._max_us = np.maximum(self._max_us, took)
+        self._bins[self._rows, np.minimum(took, BOUND_US).astype(np.intp)] += 1
 
     def percentiles(self) -> dict[str, dict[str, float]]:
         """Since start, rounded up to a microsecond; zeros where nothing was measured."""
-        self._count()
         found: dict[str, dict[str, float]] = {}
         for stage, bins, longest in zip(
             self._stages, self._bins, self._max_us.tolist(), strict=True
@@ -60,7 +58,6 @@ class Latencies:
 
         Counts are by whole microseconds; `cycles` beyond their sum took BOUND_US or longer.
         """
-        self._count()
         system, cpus = platform.uname(), os.sched_getaffinity(0)
         counts = self._bins
         filled = [np.flatnonzero(each) for each in counts]
@@ -94,18 +91,6 @@ class Latencies:
                 for k, stage in enumerate(self._stages)
             },
         }
-
-    def _count(self) -> None:
-        """Count the durations that wait."""
-        if not self._added:
-            return
-        us = np.array(list(map(itemgetter(*self._stages), self._added)))  # (scans, stages)
-        self._added = []
-        self.scans += len(us)
-        self._sum_us += np.add.reduce(us)
-        self._max_us = np.maximum(self._max_us, np.maximum.reduce(us))
-        bins = np.minimum(us, BOUND_US).astype(np.int64)
-        np.add.at(self._bins, (np.arange(len(self._stages)), bins), 1)
 
 
 def _date(t: float) -> str:

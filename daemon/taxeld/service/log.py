@@ -1,8 +1,7 @@
 """The log: lines on standard error, written by a thread of their own.
 
 A reader of standard error that hangs costs lines, but neither a pass of the loop nor the end of the
-process. The journal is told how grave each line is, a terminal shows it in colour, and a file has
-the time of each.
+process. The journal is told how grave each line is; other readers get the time of each.
 """
 
 import contextlib
@@ -16,24 +15,16 @@ STDERR = 2  # by its number: the object holds a lock while it writes, also at th
 MOST = 1000  # lines that wait to be written; more are dropped
 CLOSE_S = 2.0  # that the last lines may take
 JOURNAL = {"DEBUG": "<7>", "INFO": "<6>", "WARNING": "<4>", "ERROR": "<3>"}  # sd-daemon(3)
-COLOUR = {"DEBUG": "\x1b[2m", "WARNING": "\x1b[33m", "ERROR": "\x1b[31m"}  # escapes of a terminal
 
 _ROOT = logging.getLogger("taxeld")
 
 
 class _Marked(logging.Formatter):
-    """A mark for the level stands before each line of a record, and another one behind it."""
-
-    def __init__(
-        self, marks: Mapping[str, str], end: str = "", text: str | None = None, time: str = ""
-    ) -> None:
-        super().__init__(text, time)
-        self._marks, self._end = marks, end
+    """The journal's mark for the level stands before each line of a record."""
 
     def format(self, record: logging.LogRecord) -> str:
-        mark = self._marks.get(record.levelname, "")
-        end = self._end if mark else ""
-        return "\n".join(mark + line + end for line in super().format(record).split("\n"))
+        mark = JOURNAL.get(record.levelname, "")
+        return "\n".join(mark + line for line in super().format(record).split("\n"))
 
 
 class _Hand(logging.Handler):
@@ -71,11 +62,8 @@ def formatter(descriptor: int, environ: Mapping[str, str]) -> logging.Formatter:
     """How lines look to the reader of an open file."""
     found = os.fstat(descriptor)
     if environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}":  # systemd.exec(5)
-        return _Marked(JOURNAL)
+        return _Marked()
     text = "%(asctime)s %(levelname)-7s %(message)s"
-    if os.isatty(descriptor):
-        dull = environ.get("NO_COLOR") or environ.get("TERM") == "dumb"
-        return _Marked({} if dull else COLOUR, "\x1b[0m", text, "%H:%M:%S")
     return logging.Formatter(text, "%Y-%m-%dT%H:%M:%S%z")
 
 

@@ -1,16 +1,16 @@
 """The lines that a daemon at work logs: that it is ready, and each change once.
 
-A change of status is logged when it comes; poses and modules are looked at once a second. Each of
-the two has a ration of lines, so that a change that repeats neither fills the log nor hides others.
+A change of status is logged when it comes; poses and modules are looked at once a second. The
+service manager bounds how many lines there are (LogRateLimitBurst=).
 """
 
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Estimate, Status
+from taxeld.layout.layout import Layout
 from taxeld.pipeline.freshness import CURES, Why
 from taxeld.skin.channels import Wiring, mismatch
 
@@ -19,27 +19,6 @@ GRAVE = (Status.STALE, Status.BLIND, Status.INCONSISTENT)
 MODULES_LOOKS = 3  # seconds without another module, after which some are said to be missing
 
 log = logging.getLogger(__name__)
-
-
-class Ration:
-    """How many lines a subject may have: `burst` at once, and one more in each `every_s`."""
-
-    def __init__(self, burst: int = 10, every_s: float = 30.0) -> None:
-        self.left_out = 0  # lines that were not allowed; whoever says how many sets it to 0
-        self._burst = self._left = burst
-        self._every_s = every_s
-        self._next_s = 0.0
-
-    def allows(self, now_s: float) -> bool:
-        """Whether a line may be written now; `now_s` is monotonic."""
-        if now_s >= self._next_s:
-            self._left = min(self._left + 1, self._burst)
-            self._next_s = now_s + self._every_s
-        if self._left <= 0:
-            self.left_out += 1
-            return False
-        self._left -= 1
-        return True
 
 
 class Notices:
@@ -51,22 +30,20 @@ class Notices:
         if bundles:
             self._of = [
                 f"object {' or '.join(names)}",
-                f"samples by {proposal or 'no samples'} of {', '.join(map(str, bundles))}",
+                f"samples by {proposal} of {', '.join(map(str, bundles))}",
             ]
         self._names = names
         self._object = 0 if len(names) == 1 else -1  # number of the last one that was logged
         self._status: tuple[Status, Why] | None = None  # the last, and why it was not valid
         self._said: dict[str, str] = {}  # the last line on each subject
         self._looks = 0  # since the modules of a hub have changed
-        self._of_status = Ration(burst=10, every_s=5.0)
-        self._of_inputs = Ration()
 
-    def ready(self, config: Config, info: Mapping[str, Any], waits_for: str) -> None:
-        """All is open and warm; `info`: the message to subscribers, `waits_for`: the source's."""
+    def ready(self, config: Config, layout: Layout, waits_for: str) -> None:
+        """All is open and warm; `layout`: of the first link, `waits_for`: the source's."""
         source, poses = config.source, config.sensor_pose.endpoint
         where = source.where
         parts = [
-            f"skin {info['layout']['name']}, {info['layout']['taxels']} taxels",
+            f"skin {layout.name}, {len(layout)} taxels",
             *self._of,
             f"source {source.kind} {where}, {'not there yet' if waits_for else 'open'}",
             f"sensor poses {f'from {poses}' if poses else 'none: it stands still'}",
@@ -75,62 +52,55 @@ class Notices:
         ]
         log.info("ready: %s", "; ".join(parts))
 
-    def estimate(self, estimate: Estimate, why: Why, reason: str, now_s: float) -> None:
+    def estimate(self, estimate: Estimate, why: Why, reason: str) -> None:
         """Log a published estimate if its status, or why it is not valid, has changed; `reason`:
         the same in words. So is the object, once it is known."""
         if estimate.objects:
-            self._name(estimate, now_s)
-        status, left_out = estimate.status, self._of_status.left_out
+            self._name(estimate)
+        status = estimate.status
         if (status, why) == self._status:
             return
         self._status = status, why
-        if not self._of_status.allows(now_s):
-            return
-        self._of_status.left_out = 0
         x, y, yaw = estimate.map
         line = f"{status.name.lower()}, {'not ' if reason else ''}valid"
         line += f", {estimate.contacts} contacts"
         where = f", x {x:.4f} m, y {y:.4f} m, yaw {yaw:.3f} rad, p {estimate.p:.1%}"
         line += f": {reason}" if reason else f"{where}, radius {1e3 * estimate.radius_m:.1f} mm"
-        line += f" ({left_out} changes before were not logged)" if left_out else ""
         log.log(logging.WARNING if status in GRAVE else logging.INFO, "status: %s", line)
 
-    def _name(self, estimate: Estimate, now_s: float) -> None:
+    def _name(self, estimate: Estimate) -> None:
         number, p = estimate.object, estimate.objects[estimate.object]
-        if number != self._object and p >= SURE and self._of_status.allows(now_s):
+        if number != self._object and p >= SURE:
             self._object = number
             log.info("object: %s, p %.1f %%", self._names[number], 100.0 * p)
 
-    def links(self, whys: Mapping[str, Why], now_s: float) -> None:
+    def links(self, whys: Mapping[str, Why]) -> None:
         """Log which of several links has ceased to work, and why."""
         for name, why in whys.items() if len(whys) > 1 else ():
             fault = "" if why in (Why.VALID, Why.STARTING) else f"is left out, {CURES[why]}"
-            self._say(f"link {name}", fault, "works", now_s)
+            self._say(f"link {name}", fault, "works")
 
-    def inputs(
-        self, poses_fault: str, wiring: Wiring, *, match: bool, now_s: float, link: str = ""
-    ) -> None:
+    def inputs(self, poses_fault: str, wiring: Wiring, *, match: bool, link: str = "") -> None:
         """Log what has changed of the robot's poses, and of the modules that the hubs have;
         `match`: whether these suffice; `link`: its name, where there are several."""
         of = f"{link}: " if link else ""
-        self._say(f"{of}sensor_pose", poses_fault, "poses come as they should", now_s)
+        self._say(f"{of}sensor_pose", poses_fault, "poses come as they should")
         for hub, suis in wiring.hubs.items():
             known = len(set(suis) & set(wiring.suis))
             self._said.setdefault(f"{of}hub {hub} sends", "nothing yet")
             line = f"{len(suis)} modules, {known} of them in the layout"
-            if self._say(f"{of}hub {hub} sends", "", line, now_s):
+            if self._say(f"{of}hub {hub} sends", "", line):
                 self._looks = 0
         self._looks += 1
         if wiring.hubs and self._looks > MODULES_LOOKS:
             line = mismatch(wiring.lacking, len(wiring.suis), len(wiring.foreign), match)
-            self._say(f"{of}skin.layout", line, "all its modules are there", now_s)
+            self._say(f"{of}skin.layout", line, "all its modules are there")
 
-    def _say(self, subject: str, fault: str, fine: str, now_s: float) -> bool:
+    def _say(self, subject: str, fault: str, fine: str) -> bool:
         """Warn of a fault, or log `fine` where there is none; → whether that has changed."""
         line = fault or fine
         if line == self._said.get(subject, fine):
             return False
         self._said[subject] = line
-        if self._of_inputs.allows(now_s):
-            log.log(logging.WARNING if fault else logging.INFO, "%s: %s", subject, line)
+        log.log(logging.WARNING if fault else logging.INFO, "%s: %s", subject, line)
         return True

@@ -1,24 +1,21 @@
-"""The file that a skin's state is kept in: JSON of some 100 kB, read at the start, written
-seldom, each time by a thread of its own.
+"""The file that a skin's state is kept in: JSON of some 100 kB.
 
-It is written beside, synced and then renamed, so that a power cut leaves the old one or the new
-one, whole. A fault of the disk or the file is warned of once, and costs a fresh capture at most.
+One that cannot be used costs a fresh capture at most.
 """
 
 import json
-import logging
 import math
 import os
-import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taxeld.arrays import Floats
-from taxeld.config.file import opened
 from taxeld.config.tables import Config
+from taxeld.service.kept_file import FUTURE_S, KeptFile
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import RESPONSE, SkinState
 
@@ -26,8 +23,6 @@ NAME = "skin.json"
 VERSION = 2
 EVERY_S = 300.0  # between two writings out of contact
 MAX_AGE_S = 43_200.0  # a state that was stored longer ago is not used
-FUTURE_S = 3600.0  # a state from farther ahead was stored by a wrong clock, or is read by one
-CLOSE_S = 2.0  # time that the last writing may take
 MAX_BYTES = 1_000_000  # ten times the file of the largest skin
 COUNT_MAX = 0xFFFF
 ARRAYS = {  # digits, least, most, whether nan is allowed (null in the file)
@@ -45,8 +40,6 @@ ARRAYS = {  # digits, least, most, whether nan is allowed (null in the file)
 }
 NUMBERS = "full_scale", "calibrated_t"
 OF_TAXELS = ("baseline", "noise", *RESPONSE)  # the others are of modules
-
-log = logging.getLogger(__name__)
 
 
 def dump(state: SkinState) -> bytes:
@@ -97,22 +90,6 @@ def directory(config: Config, link: str = "") -> Path | None:
     return Path(name) / link if name else None
 
 
-def replaced(path: Path, data: bytes) -> None:
-    """Write data in place of a file, or of a link, which is not followed.
-
-    Raises:
-        OSError: the disk does not take it.
-    """
-    beside = path.with_suffix(".new")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside.unlink(missing_ok=True)
-    with beside.open("xb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-
-
 class StateFile:
     """Keeps the state of one skin, if there is a directory to keep it in."""
 
@@ -120,68 +97,41 @@ class StateFile:
         self, place: Path | None, skin: Skin, state: Callable[[], SkinState | None]
     ) -> None:
         """`state`: what the skin has learned so far, of Unix time."""
-        self._path = place / NAME if place else None
+        self._file = KeptFile(place / NAME, MAX_BYTES) if place else None
         self._skin = skin
         self._state = state
         self._captures = skin.captures
         self._next_s = -1.0
-        self._failed = False
-        self._writer: threading.Thread | None = None
 
     def restore(self, now: float) -> None:
         """Give the skin what is stored; `now` is Unix time. The taxels' responses last longer than
         the baseline."""
-        if self._path is None:
-            return
-        skin = self._skin
-        try:
-            with opened(self._path, MAX_BYTES) as file:
-                state = parse(file.read(MAX_BYTES), skin.digest, len(skin.layout), skin.modules)
+
+        def take(text: bytes) -> None:
+            skin = self._skin
+            state = parse(text, skin.digest, len(skin.layout), skin.modules)
             is_fresh = -FUTURE_S <= now - state.t <= MAX_AGE_S
             skin.restore(state, baseline=is_fresh)
             if not is_fresh:
                 raise ValueError(f"it is {(now - state.t) / 3600.0:.1f} h old")
-        except FileNotFoundError:
-            return
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else error
-            log.warning("%s: not used, %s; the idle baseline is learned again", self._path, reason)
+
+        if self._file is not None:
+            self._file.read(take, "the idle baseline is learned again")
 
     def keep(self, now_s: float) -> None:
         """Have the state written if it is time to, and the disk has taken the last one; `now_s` is
         monotonic. Never blocks."""
-        if self._path is None or (self._writer is not None and self._writer.is_alive()):
+        if self._file is None or self._file.is_busy:
             return
         fresh = self._skin.captures != self._captures
         if fresh or (now_s >= self._next_s and not self._skin.touched):
-            self._start_writing()
+            state = self._state()
+            if state is not None:
+                self._file.write(partial(dump, state))
             self._captures, self._next_s = self._skin.captures, now_s + EVERY_S
 
     def close(self) -> None:
         """Write the last state, unless the disk does not take it in time."""
-        if self._is_free():
-            self._start_writing()
-            self._is_free()
-
-    def _is_free(self) -> bool:
-        """Whether the disk has taken the last state, or takes it soon."""
-        if self._writer is not None:
-            self._writer.join(CLOSE_S)
-        return self._writer is None or not self._writer.is_alive()
-
-    def _start_writing(self) -> None:
-        state = self._state()
-        if self._path is not None and state is not None:
-            # a disk that hangs must not keep the daemon from ending
-            self._writer = threading.Thread(
-                target=self._write, args=(self._path, state), name="skin state", daemon=True
-            )
-            self._writer.start()
-
-    def _write(self, path: Path, state: SkinState) -> None:
-        try:
-            replaced(path, dump(state))
-        except OSError as error:
-            if not self._failed:
-                log.warning("%s: not written (%s)", path, error.strerror)
-            self._failed = True
+        if self._file is not None:
+            state = self._state()
+            self._file.close(None if state is None else partial(dump, state))

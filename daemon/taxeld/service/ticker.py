@@ -25,15 +25,9 @@ class Ready(NamedTuple):
 ALL = Ready(device=True, door=True)
 
 
-def wait(
-    device: Readable | None,
-    door: Readable | None,
-    until_s: float,
-    further: Sequence[Readable | None] = (),
-) -> Ready:
-    """Sleep until one of the inputs is ready, at most until the monotonic time `until_s`;
-    `further`: devices of further links."""
-    numbers = [-1 if each is None else each.fileno() for each in (door, device, *further)]
+def wait(devices: Sequence[Readable | None], door: Readable | None, until_s: float) -> Ready:
+    """Sleep until one of the inputs is ready, at most until the monotonic time `until_s`."""
+    numbers = [-1 if each is None else each.fileno() for each in (door, *devices)]
     left_s = max(0.0, until_s - time.monotonic())
     found = select.select([number for number in numbers if number >= 0], (), (), left_s)[0]
     return Ready(any(number in found for number in numbers[1:]), numbers[0] in found)
@@ -45,10 +39,7 @@ class Ticker:
     counted, never made up for."""
 
     def __init__(
-        self,
-        rate_hz: float,
-        idle_s: float = IDLE_S,
-        clock: Callable[[], float] = time.monotonic,
+        self, rate_hz: float, idle_s: float = IDLE_S, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """`rate_hz`: rate of the ticks; `idle_s`: time between passes while idle."""
         self.period_s = 1.0 / rate_hz

@@ -155,7 +155,6 @@ def _spacing(position_m: Floats) -> tuple[float, float]:
 
 
 def _neighbours(layout: Layout, reach_m: float) -> list[list[int]]:
-    """The neighbours of each taxel."""
     found: list[list[int]] = []
     for start in range(0, len(layout), BLOCK):
         facing = layout.normal[start : start + BLOCK] @ layout.normal.T > 0.0

@@ -247,7 +247,6 @@ class Skin:
         return self._drift.dips.lowered
 
     def _read(self, counts: tuple[int, ...], wired: Wired) -> Reading:
-        """A hub's channels as readings of taxels and temperatures."""
         channels = np.array(counts, dtype=np.float64)
         if min(counts) > 0 and max(counts) < INVALID_FROM:  # the usual case: all are valid
             self._saturated[wired.places] = False

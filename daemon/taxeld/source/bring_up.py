@@ -169,7 +169,6 @@ class BringUp:
         return [_request(Command.SET_AUTO_SYNC, on=0)]
 
     def _go_on(self) -> None:
-        """Enter the next step, if it is time."""
         if self._step in (RoundStep.REST, RoundStep.STREAM):
             speaking = self._speaking()
             wanted = {*self._scan_s, *self._short_ids.values(), *self._unsure} - self._refused()
@@ -194,7 +193,6 @@ class BringUp:
         return self._suis - {m.sui for table in tables for m in table.modules if m.channels}
 
     def _begin(self) -> None:
-        """Begin a round at once."""
         self._step, self._until_s, self._free_s = RoundStep.REST, -math.inf, -math.inf
         self._queue.clear()
 
@@ -203,7 +201,6 @@ class BringUp:
         return self._found if self._renamed else self._found - self._spared
 
     def _is_done(self) -> bool:
-        """Whether a step has reached its end."""
         awaited = self._awaited()
         match self._step:
             case RoundStep.FIND | RoundStep.START:
@@ -273,7 +270,6 @@ class BringUp:
         self._until_s = until_s + sum(pause_s for _, pause_s in self._queue)
 
     def _requests(self) -> list[Asked]:
-        """The requests of a step."""
         find = _request(Command.DISCOVERY_PING)
         match self._step:
             case RoundStep.FIND:
@@ -393,6 +389,5 @@ def _request(command: Command, to: int = BROADCAST, **fields: int) -> Request:
 
 
 def _text(payload: bytes) -> str:
-    """A version, as far as it can be printed."""
     text = payload.split(b"\0")[0][:VERSION_CHARACTERS]
     return "".join(chr(c) if 0x20 <= c < 0x7F else "?" for c in text).strip()

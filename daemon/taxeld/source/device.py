@@ -83,11 +83,8 @@ def _errno(error: BaseException | None) -> int:
 class Noticed:
     """Faults that a device has noticed since they were last taken."""
 
-    noise: int = 0  # reads that could not be decoded
     foreign: int = 0  # frames that are neither classic data frames nor error frames
     bus: Counter[BusFault] = field(default_factory=Counter)  # faults of a CAN bus
-    refused: int = 0  # lines that an SLCAN adapter refused
-    silences: int = 0  # times that an SLCAN adapter fell silent
     lines: list[str] = field(default_factory=list)  # lines for the log
 
 
@@ -143,10 +140,7 @@ class BusDevice(Device):
         for _ in range(FRAMES_PER_POLL):
             try:
                 frame = self._receive()
-            except BlockingIOError:
-                break
-            except ValueError:
-                self.noticed.noise += 1
+            except (BlockingIOError, ValueError):
                 break
             except OSError as error:
                 self._fault = error

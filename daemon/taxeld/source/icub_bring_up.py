@@ -36,8 +36,6 @@ Step = tuple[bytes, float]  # a command, and the pause after it
 
 @dataclass(slots=True)
 class _BoardStart:
-    """A board's bring-up: its next step, and when."""
-
     number: int
     steps: list[Step]  # the first step asks
     at: int = 0  # number of the next step; beyond the last the board only sends
@@ -146,7 +144,6 @@ class IcubBringUp:
         return []
 
     def _step(self, board: _BoardStart, now_s: float) -> list[Request]:
-        """The requests to send to one board."""
         heard = self._decoder.heard(board.number)
         speaks, board.heard = heard > board.heard, heard
         if math.isinf(board.heard_s):

@@ -106,7 +106,6 @@ def replayed(
 
 
 def _answering(config: SourceConfig, recorded: Sequence[Frame | Chunk]) -> tuple[int, ...]:
-    """The skin boards that answer in a recording."""
     skin = IcubDecoder()
     Wire(config, skin).take(recorded)
     return tuple(sorted(answer.board for answer in skin.answered.values() if answer.is_skin))

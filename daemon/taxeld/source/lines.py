@@ -84,7 +84,6 @@ class SerialLine(Device):
             raise LostError from error
 
     def _drain(self, wait_s: float) -> None:
-        """Give written bytes `wait_s` to leave."""
         deadline = time.monotonic() + wait_s
         with contextlib.suppress(LostError):
             while (self._send_rest() or self._port.out_waiting) and time.monotonic() < deadline:

@@ -5,11 +5,9 @@ of the time of python-can's, and a damaged line costs only itself. A log is read
 each time, and is never held in memory. The times of `serial.bin` stand in `serial.csv` beside it.
 """
 
-import gzip
 import logging
 import math
 import re
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BufferedIOBase
@@ -108,14 +106,13 @@ def _lines(file: BufferedIOBase) -> Iterator[tuple[int, str]]:
 
 
 def _ending(path: Path) -> str:
-    """The ending of the log's name, without the `.gz` of a packed log."""
+    """The ending of the log's name, without the `.gz` that python-can unpacks."""
     return Path(path.stem if path.suffix.lower() == ".gz" else path).suffix.lower()
 
 
 def _candump(path: Path, damage: Damage) -> Iterator[Logged]:
-    number = 0
     try:
-        with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
+        with path.open("rb") as file:
             for number, text in _lines(file):
                 frame = parse_log_line(text)
                 if frame is not None and frame.can_id <= (
@@ -126,8 +123,6 @@ def _candump(path: Path, damage: Damage) -> Iterator[Logged]:
                     yield _interface(text), None
                 elif not text.isspace():
                     damage.at(f"line {number}", text)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        damage.at(f"after line {number}", str(error))
     except OSError as error:
         raise SetupError(f"{path}: unreadable log ({error.strerror or error})") from None
 

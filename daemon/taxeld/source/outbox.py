@@ -63,7 +63,6 @@ class Outbox:
         self.dropped += 1
 
     def _next(self) -> bool:
-        """Whether there is a piece to send."""
         while not self._begun and self._waiting:
             _, request = self._waiting.popleft()
             self._begun.extend(self._device.pack(*request))

@@ -84,7 +84,7 @@ class Recorder:
         """
         self._directory = directory
         self._moves = moves
-        self.beside: dict[int, Recorder] = {}  # of further links, by their numbers
+        self.beside: list[Recorder] = []  # of further links
         self._beside = _beside(config, calibration)
         _check_free(directory, [ABOUT, *PARTS, *self._beside])
         self._waiting: deque[Item] = deque()
@@ -103,6 +103,10 @@ class Recorder:
         unwritten = self._came - frames - chunks - poses if self._failed else 0
         return RecordCounters(frames, size, poses, self._refused + unwritten, self._failed)
 
+    def of(self, link: int) -> "Recorder":
+        """The recorder of the link of this number."""
+        return self.beside[link - 1] if link else self
+
     def pose(self, t: float, x: float, y: float, theta: float) -> None:
         """Record a sensor pose in the world."""
         self.take((t, x, y, theta))
@@ -119,12 +123,12 @@ class Recorder:
 
     def __enter__(self) -> Self:
         self._thread.start()
-        for recorder in self.beside.values():
+        for recorder in self.beside:
             recorder.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        for recorder in self.beside.values():
+        for recorder in self.beside:
             recorder.__exit__()
         self._closing.set()
         self._thread.join(CLOSE_S)

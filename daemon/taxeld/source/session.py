@@ -145,7 +145,6 @@ class _Lines:
     """The lines of a file whose last line may be cut: a line without its end is left out."""
 
     def __init__(self, path: Path, longest: int = LINE_MAX) -> None:
-        """`longest`: bytes of a line, at most."""
         self.path, self._longest = path, longest
         self.cut = False  # whether the last line was cut; known after the last line
 
@@ -198,7 +197,6 @@ def _frames(path: Path, about: dict[str, Any] | None) -> tuple[list[Frame], bool
 
 
 def _arrays(lines: _Lines) -> Iterator[ArrayFrame]:
-    """The frames of a recorded array."""
     for number, text in enumerate(lines, 1):
         frame = array.parse(array.read_json(text))
         if isinstance(frame, str):

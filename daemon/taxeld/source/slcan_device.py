@@ -46,7 +46,6 @@ REFUSALS = {  # first letter of a refused line → reason and cure
     b"S": "it knows no such bit rate: source.bitrate must be one that it does",
     b"O": "its channel does not open; is the bit rate one that it knows?",
     b"M": "it cannot listen only: set source.listen_only = false, or use another",
-    b"t": "its channel is closed, or its buffer full",
     b"T": "its channel is closed, or its buffer full",
 }
 FRAMES = (b"t", b"T", b"r", b"R", b"d", b"D", b"b", b"B")  # first letters of a frame's line
@@ -110,9 +109,8 @@ class SlcanDevice(SerialLine):
         if not self._is_bus:  # the wire parses the bytes, as it does for a recording
             return [Chunk(now, data)] if data else []
         counters = self._reader.counters
-        noise, foreign = counters.noise, counters.foreign
+        foreign = counters.foreign
         frames = self._reader.frames(lines, now)
-        self.noticed.noise += counters.noise - noise
         self.noticed.foreign += counters.foreign - foreign
         return frames
 
@@ -158,7 +156,6 @@ class SlcanDevice(SerialLine):
                 f"source.channel: nothing has come from {self._where} for {every}; "
                 f"its channel is opened again every {every}"
             )
-            self.noticed.silences += 1
         try:
             # another process that closed the channel may have set the line otherwise
             self._port.baudrate = self._port.baudrate
@@ -176,11 +173,10 @@ class SlcanDevice(SerialLine):
         return bool(self._steps)
 
     def _refused(self) -> None:
-        """Count a refused line, and log the first of its kind."""
-        line, kind = self._line, self._line[:1]
+        """Log the first refused line of its kind."""
+        line, kind = self._line, self._line[:1].upper()
         if not line or line in MAY_BE_REFUSED:
             return
-        self.noticed.refused += 1
         if kind not in self._complained:
             self._complained.add(kind)
             name = line.removesuffix(slcan.CR).decode()

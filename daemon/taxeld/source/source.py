@@ -19,9 +19,6 @@ class SourceCounters:
     reopened: int = 0
     unopened: int = 0  # attempts to open it that failed
     unsent: int = 0  # requests that the device did not take in time
-    noise: int = 0  # reads that python-can could not decode
-    refused: int = 0  # commands and frames that an SLCAN adapter refused
-    silences: int = 0  # times that an SLCAN adapter fell silent and was opened again
 
 
 class Source:

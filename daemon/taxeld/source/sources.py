@@ -10,11 +10,8 @@ import logging
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
+from collections.abc import Callable, Mapping
 from pathlib import Path
-
-import numpy as np
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
@@ -36,8 +33,6 @@ OnPose = Callable[[float, float, float, float], None]
 
 REOPEN_S = (0.2, 1.0)  # first and longest pause before a lost device is opened again
 CLOSE_S = 0.2  # time for the last requests to leave the device
-LOG_BURST = 10  # lines that may be logged at once about a device that comes and goes
-LOG_S = 30.0  # time for each further line after such a burst
 
 log = logging.getLogger(__name__)
 
@@ -68,54 +63,6 @@ def open_source(
     return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
 
 
-class Bus:
-    """A source, and the links whose taxels its scans hold."""
-
-    def __init__(self, source: Source, links: Sequence[int], layouts: Sequence[Layout]) -> None:
-        """`links`: their numbers, `layouts` in the same order."""
-        self.source = source
-        self.links = tuple(links)
-        self._uids = [set(layout.uid.tolist()) for layout in layouts]
-        self._of: dict[int, tuple[int, tuple[int, ...]]] = {}  # hub → table's version, links
-
-    def links_of(self, scan: Scan) -> tuple[int, ...]:
-        """Numbers of the links that a scan goes to; the first on this bus where it has no taxel of
-        any."""
-        if len(self.links) == 1:
-            return self.links
-        version, found = self._of.get(scan.ihb, (None, ()))
-        if version != scan.table_version:
-            uids = {uid for module in scan.table for uid in module.uids}
-            pairs = zip(self.links, self._uids, strict=True)
-            found = tuple(k for k, own in pairs if uids & own) or self.links[:1]
-            self._of[scan.ihb] = scan.table_version, found
-        return found
-
-
-def joint(layouts: Sequence[Layout]) -> Layout:
-    """What one bus has of several layouts: their taxels, on no common cylinder."""
-    if len(layouts) == 1:
-        return layouts[0]
-    uid, position, normal = (
-        np.concatenate([getattr(each, name) for each in layouts])
-        for name in ("uid", "position_m", "normal")
-    )
-    return Layout(" + ".join(each.name for each in layouts), uid, position, normal, math.inf)
-
-
-def check_uids(names: Sequence[str], layouts: Sequence[Layout]) -> None:
-    """Raises SetupError where two layouts of one bus have the same taxels."""
-    pairs = zip(names, layouts, strict=True)
-    for (name, one), (again, two) in combinations(pairs, 2):
-        common = set(one.uid.tolist()) & set(two.uid.tolist())
-        if common:
-            sui = min(common) >> 4
-            raise SetupError(
-                f"skin.layout: {name} and {again} are on one bus, and both have module {sui}; "
-                "give each link its own modules, or its own [skin.source]"
-            )
-
-
 class LiveSource(Source):
     """A device that may go and come back, and the bring-up of the skin behind it."""
 
@@ -137,7 +84,6 @@ class LiveSource(Source):
         self._held: Items = []  # items read from the device and not decoded yet
         self._failed: LostError | None = None  # loss of the device, after the held items
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
-        self._lines, self._next_line_s = LOG_BURST, 0.0
         self._amiss: dict[str, str] = {}  # a line on each subject that was amiss
         self._due_s, self._behind_s = 0.0, 0.0  # the bring-up's time, and how far it is behind
         self._sent_s = 0.0  # time when all requests had left
@@ -213,7 +159,7 @@ class LiveSource(Source):
             if not waits:
                 outbox.add(bring_up.due(self._due_s), now_s)
             for line in bring_up.news():
-                self._say(logging.INFO, line, now_s)
+                log.info("%s", line)
             lacks, device.is_starting = bring_up.waits_for, bring_up.is_starting
         if self._listening is not None:
             self.fault, lacks = self._listening.fault(now_s), self._listening.refusal
@@ -221,7 +167,7 @@ class LiveSource(Source):
         self._follow(device, now_s)
         amiss = {"bus": self.bus.line(now_s), "device": device.waits_for, "skin": lacks}
         for subject, line in amiss.items():
-            self._heed(subject, line, now_s)
+            self._heed(subject, line)
         if not self.bus.is_mute(now_s):
             del amiss["bus"]
         self.waits_for = "; ".join(filter(None, amiss.values()))
@@ -241,16 +187,12 @@ class LiveSource(Source):
         return items
 
     def _follow(self, device: Device, now_s: float) -> None:
-        """Count and log the faults noticed by the device."""
         noticed, device.noticed = device.noticed, Noticed()
-        self.counters.noise += noticed.noise
-        self.counters.refused += noticed.refused
-        self.counters.silences += noticed.silences
         self.bus.take(noticed.bus, now_s)
         for _ in range(noticed.foreign):
             self.wire.decoder.drop_foreign()
         for line in noticed.lines:
-            self._say(logging.WARNING, line, now_s)
+            log.warning("%s", line)
 
     def _flush(self, outbox: Outbox, now_s: float) -> None:
         try:
@@ -278,7 +220,7 @@ class LiveSource(Source):
         self.device = self._outbox = None
         self._next_open_s = now_s + self._pause_s
         self.waits_for = f"source.channel: the device went away ({reason})"
-        self._say(logging.WARNING, self.waits_for, now_s)
+        log.warning("%s", self.waits_for)
 
     def _reopen(self, now_s: float) -> None:
         if now_s < self._next_open_s:
@@ -291,7 +233,7 @@ class LiveSource(Source):
             return
         self.counters.reopened += 1
         self.bus.recover(now_s)
-        self._say(logging.INFO, f"source.channel: is open, after: {waited_for}", now_s)
+        log.info("source.channel: is open, after: %s", waited_for)
         if self._bring_up is not None:
             self._bring_up.restart()
 
@@ -301,24 +243,14 @@ class LiveSource(Source):
         self._next_open_s = now_s + self._pause_s
         if reason != self.waits_for:
             self.waits_for = reason
-            self._say(logging.WARNING, f"{reason}; waiting for it", now_s)
+            log.warning("%s; waiting for it", reason)
 
-    def _heed(self, subject: str, line: str, now_s: float) -> None:
-        """Log what is amiss with a subject, once, and when it has passed."""
+    def _heed(self, subject: str, line: str) -> None:
         before, self._amiss[subject] = self._amiss.get(subject, ""), line
         if line and line != before:
-            self._say(logging.WARNING, line, now_s)
+            log.warning("%s", line)
         elif before and not line:
-            self._say(logging.INFO, f"no longer: {before}", now_s)
-
-    def _say(self, level: int, line: str, now_s: float) -> None:
-        """Log a line, unless there were too many lately."""
-        if now_s >= self._next_line_s:
-            self._lines = min(self._lines + 1, LOG_BURST)
-            self._next_line_s = now_s + LOG_S
-        if self._lines > 0:
-            self._lines -= 1
-            log.log(level, "%s", line)
+            log.info("no longer: %s", before)
 
 
 class ReplaySource(Source):

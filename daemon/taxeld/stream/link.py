@@ -62,9 +62,6 @@ class Report:
     robot: PeerLine = field(default_factory=PeerLine)
     array: PeerLine = field(default_factory=PeerLine)
     confined: bool = False  # by Landlock
-    hung_up: int = 0  # subscribers that sent too many subscriptions
-    crowded_out: int = 0  # connections that had to go, as few descriptors were left
-    hoarders: int = 0  # connections that had to go, as what they sent made memory grow
     keys_refused: int = 0  # connections without an authorised key
 
 

@@ -36,7 +36,7 @@ from taxeld.stream.topics import (
     TOPICS,
 )
 
-__all__ = [
+__all__ = [  # all names beside this module's own
     "ADVICE",
     "CONTACTS",
     "COUNTS",
@@ -45,22 +45,8 @@ __all__ = [
     "INFO",
     "PARTICLES",
     "SENSOR_POSE",
-    "STAGES",
     "TAXELS",
     "TOPICS",
-    "VERSION",
-    "advice",
-    "advice_of",
-    "contacts",
-    "counts",
-    "estimate",
-    "health",
-    "info",
-    "name_of",
-    "object_of",
-    "particles",
-    "reason_of",
-    "taxels",
 ]
 
 OTHER = "other"  # in `objects`: none of the known ones

@@ -1,4 +1,4 @@
-"""What all sockets of ZeroMQ's share: options, reading a bounded number of frames, hanging up."""
+"""What all sockets of ZeroMQ's share: options, and who is at the other end."""
 
 import errno
 import os
@@ -11,15 +11,12 @@ import zmq
 
 from taxeld.errors import SetupError
 
-FRAMES_MAX = 8  # a message of more frames is none of ours, and none is read any further
 HANDSHAKE_MS = 5000  # a peer that has not said who it is by then is let go
 CREDENTIALS = struct.Struct("3i")
 KEEPALIVE_S = 10  # the kernel asks a silent peer beyond this machine, and lets a dead one go
 KEEPALIVE_TRIES = 3
 # as plain numbers: pyzmq takes long over its enumerations
-EVENTS, WAITING, AT_ONCE, MORE = (
-    int(x) for x in (zmq.EVENTS, zmq.POLLIN, zmq.NOBLOCK, zmq.RCVMORE)
-)
+EVENTS, WAITING = int(zmq.EVENTS), int(zmq.POLLIN)
 
 
 def open_socket(
@@ -74,48 +71,12 @@ def is_waiting(socket: zmq.Socket[Any]) -> bool:
     return bool(int(socket.get(EVENTS)) & WAITING)
 
 
-def frames(socket: zmq.Socket[Any]) -> list[zmq.Frame] | None:
-    """The next message, whole; None: it has too many frames, and was not read to its end.
-
-    To read on could take seconds. The socket must be closed, which frees the rest at once.
-
-    Raises:
-        zmq.Again: none is there.
-    """
-    parts = [socket.recv(AT_ONCE, copy=False)]
-    while parts[-1].more:
-        if len(parts) == FRAMES_MAX:
-            return None
-        parts.append(socket.recv(AT_ONCE, copy=False))
-    return parts
-
-
-def contents(socket: zmq.Socket[Any]) -> list[bytes] | None:
-    """The same without who sent it, for a third of the time; something must be waiting."""
-    parts: list[bytes] = [socket.recv(AT_ONCE)]
-    while socket.get(MORE):
-        if len(parts) == FRAMES_MAX:
-            return None
-        parts.append(socket.recv(AT_ONCE))
-    return parts
-
-
 def connection_of(frame: zmq.Frame) -> int | None:
     """The descriptor of the connection that `frame` came by; None where ZeroMQ made it itself."""
     try:
         return int(frame.get(zmq.SRCFD))
     except zmq.ZMQError:
         return None
-
-
-def hang_up(frame: zmq.Frame) -> bool:
-    """Disconnect the peer that sent `frame`; → whether it was still there."""
-    try:
-        with sender(frame) as connection:
-            connection.shutdown(kernel.SHUT_RDWR)
-    except OSError:
-        return False
-    return True
 
 
 def sender(frame: zmq.Frame) -> kernel.socket:

@@ -67,7 +67,6 @@ def _write(writer: Writer, stage: Stage, heard: Iterable[Message]) -> Counter[st
 
 
 def _made(stage: Stage, message: Message) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The ROS 2 messages of one message of the streams, with their topics."""
     topic, m = message
     if topic == messages.ESTIMATE:
         yield "/taxeld/status", ros.diagnostics(m["t"], "taxeld", m, hardware=stage.layout)

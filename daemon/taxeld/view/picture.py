@@ -39,12 +39,7 @@ ADVISED = (110, 200, 120), (60, 110, 66)  # the best approach, and the others
 LINK, QUIET, DEAD = (90, 90, 90), (120, 120, 120), (200, 30, 30)
 LEAST = 0.25  # beginning on the colour scale: darker colours do not show on black
 SPREADS = {"x [mm]": (255, 120, 90), "y [mm]": (110, 200, 120), "yaw [°]": (240, 200, 80)}
-BELIEFS = {
-    "p": FOUND,
-    "stands": (110, 200, 120),
-    "moved": (240, 200, 80),
-    "other": (150, 150, 150),
-}
+BELIEFS = {"p": FOUND, "stands": (110, 200, 120), "moved": (240, 200, 80), "other": (150, 150, 150)}
 PER_UNIT = np.array([1e3, 1e3, math.degrees(1.0)])  # mm and degrees in m and rad
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 61)
 CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])

@@ -77,10 +77,8 @@ def scenes_of(config: Config) -> list[Scene]:
     Raises:
         SetupError: what the configuration names cannot be used.
     """
-    skin = layouts.load(config.skin.layout)
-    if not config.scene.names:
-        return []
-    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m)
+    skins = [layouts.load(config.skin.layout)]
+    bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
     return [one.model.scene for one in bundles]
 
 

@@ -202,7 +202,6 @@ class SkinMap:
 
 
 def _belief(e: dict[str, Any]) -> list[Text]:
-    """Status, modes, radius and spread of an estimate."""
     touch = "touching" if e["contact"] else "not touching"
     head = Text("status  ", style="dim")
     colour = COLOURS.get(e["status"], "default")

@@ -104,12 +104,7 @@ CONVERSATIONS: dict[str, dict[str, Any]] = {
         "again. Those that have taxels are not in one row; they are of a palm, whose slots 6 and "
         "10 are taxels.",
         "dialect": "icub",
-        "host": {
-            "period_ms": 20,
-            "skin_type": 0,
-            "boards": [1],
-            "taxels": uids([0, 8, 9], PALM),
-        },
+        "host": {"period_ms": 20, "skin_type": 0, "boards": [1], "taxels": uids([0, 8, 9], PALM)},
         "devices": [{"board": 1, "triangles": list(range(16)), "sends": True}],
         "script": [
             host("board 1, what are you", "201#1C0000"),

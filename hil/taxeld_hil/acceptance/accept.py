@@ -5,7 +5,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from taxeld.command_line import missing_extra
 from taxeld.config import endpoints
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
@@ -41,8 +40,16 @@ def run(
     """Check the skin behind a target; the report and all that was received are written to `out`.
 
     Raises:
-        SetupError: the target cannot be opened, or the layout or `out` cannot be used.
+        SetupError: a number is out of its range, the target cannot be opened, or the layout or
+            `out` cannot be used.
     """
+    for option, value, least, most in (
+        ("--seconds", seconds, SECONDS_MIN, SECONDS_MAX),
+        ("--period-ms", period_ms, 1, 0xFFFF),
+        ("--full-scale-counts", full_scale_counts, 1, 0xFFFF),
+    ):
+        if not least <= value <= most:
+            raise SetupError(f"{option}: must be {least:g}..{most:g}, not {value:g}")
     layout = layouts.read(skin)
     config = source_of(target, period_ms)
     when = time.strftime("%Y-%m-%d %H:%M:%S")
@@ -68,12 +75,6 @@ def _write(report: AcceptanceReport, out: Path, say: Say) -> None:
         path = out / "modules.toml"
         path.write_text(report.modules, encoding="utf-8")
         say(f"the hub's modules are listed in {path}, for source.modules")
-    try:
-        from taxeld_hil.acceptance.draw import draw  # noqa: PLC0415  (of the extra `view`)
-    except ModuleNotFoundError as error:
-        say(f"no picture: {missing_extra(error) or error}")
-        return
-    draw(report, out / "report.png")
 
 
 def source_of(target: str, period_ms: int) -> SourceConfig:

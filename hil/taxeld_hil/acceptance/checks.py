@@ -119,7 +119,6 @@ def modules(got: Received) -> CheckResult:
 
 
 def _mask(layout: Module, found: Module) -> Iterator[str]:
-    """Faults in the channels of a module of the layout."""
     mask = f"its mask {found.mask:#05x}"
     if absent := _names(layout.mask & ~found.mask & ~(1 << TEMPERATURE)):
         yield f"{mask} leaves out {absent}, which the layout has"
@@ -202,7 +201,6 @@ def link(got: Received) -> CheckResult:
 
 
 def _bus(count: Counter[str]) -> Iterator[Finding]:
-    """The faults that a CAN bus itself told."""
     for fault in BusFault:
         if fault not in NORMAL and (times := count[f"bus_{fault}"]):
             what, _, cure = fault.line.partition("; ")
@@ -356,6 +354,5 @@ def _counted(count: Counter[str], *names: str) -> str:
 
 
 def _listed(names: Sequence[object]) -> str:
-    """Names in a line that stays readable."""
     more = len(names) - NAMES_MAX
     return ", ".join(map(str, names[:NAMES_MAX])) + (f" and {more} more" if more > 0 else "")

@@ -54,10 +54,10 @@ class Guided:
                 "sensor_pose.endpoint: is empty; a calibration needs the robot's poses"
             )
         config = uncalibrated(config)
-        layout = layouts.load(config.skin.layout)
-        (scene,) = several.load(config.scene, layout, config.skin.full_scale_depth_m)
+        skins = [layouts.load(config.skin.layout)]
+        (scene,) = several.load(config.scene, skins, config.skin.full_scale_depth_m)
         config = several.sized(config, [scene.manifest])
-        self._pipeline = Pipeline(config, scene.model, scene.untimed(config.filter))
+        self._pipeline = Pipeline(config, skins, [scene.model], scene.untimed(config.filter))
         self._observer = Observer(self._pipeline)
         self._recording = Recording(config, config_path, directory)
         self._directory = directory
@@ -98,7 +98,6 @@ class Guided:
         return False
 
     def _on_poll(self, scans: list[Scan], track: PoseTrack) -> None:
-        """Follow the scans and poses since the last call."""
         now_s = time.monotonic()
         self._pipeline.stages[0].poses = track
         self._came |= bool(scans)

@@ -40,7 +40,6 @@ def draw(result: Result, out: Path) -> None:
 
 
 def _map(axes: Axes, result: Result, value: Floats, title: str) -> None:
-    """Values (M,) over the unrolled skin."""
     layout = result.observed.model.layout
     x, y = plane(layout.position_m, layout.radius_m)
     axes.scatter(x, y, c="0.8", s=18)
@@ -69,7 +68,6 @@ def _readings(axes: Axes, result: Result) -> None:
 
 
 def _presses(axes: Axes, result: Result) -> None:
-    """Places of the presses on the object."""
     ring = se2.apply(result.fit.value.object, result.observed.model.scene.outline)
     axes.fill(1e3 * ring[:, 0], 1e3 * ring[:, 1], color="0.9", ec="0.4")
     sensor = se2.compose(result.observed.presses.sensor, result.calibration.mount)

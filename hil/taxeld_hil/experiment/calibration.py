@@ -19,13 +19,13 @@ from taxeld.skin.calibration import Calibration
 from taxeld_hil.calibration.calibrate import Result, fitted
 from taxeld_hil.calibration.observer import Observer
 from taxeld_hil.experiment.measurement import RunRow, digest, require
-from taxeld_hil.experiment.touches import planned
 from taxeld_hil.jobs import Job
 from taxeld_hil.rig.rig import IDLE_S, Rig
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario as scenarios
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world import calibration_touches
+from taxeld_hil.world import touches as paths
 
 RATE_HZ = 40.0
 AFTER = (3, 6, 10)  # touches after which errors are noted
@@ -132,7 +132,6 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
 
 
 def _accuracy(found: Sequence[RunRow]) -> str:
-    """The cells of a row of the first table."""
     good = [each for each in found if "refused" not in each]
     head = f"{len(found)}, {len(found) - len(good)}"
     if not good:
@@ -151,7 +150,6 @@ def _accuracy(found: Sequence[RunRow]) -> str:
 
 
 def _found(at: Scenario, seed: int, mount: Poses, *, given: bool) -> RunRow:
-    """Errors of a calibration, or why it was refused."""
     try:
         result, full_scale = calibrated(at, seed, mount, given=given)
     except SetupError as error:
@@ -228,12 +226,13 @@ def errors_mm(
     place = np.array([scenario.place_m, scenario.place_m, np.pi])
     run.rig.world.truth = np.random.default_rng([seed, 7]).uniform(-place, place)
     run.judge = run.judging()
-    plan = planned(scenario, run, seed + 1000)
+    plan = paths.plan(run.rig.model, run.rig.world.truth, seed + 1000, max(AFTER))
     run.rig.path = plan.path
     mounted(run.rig, mount)
     found: list[float] = []
     k = 0
-    for note_s in (IDLE_S + plan.touches[n].begin_s for n in AFTER):
+    begins_s = [*(touch.begin_s for touch in plan.touches), plan.path.duration_s]
+    for note_s in (IDLE_S + begins_s[n] for n in AFTER):
         while k / RATE_HZ < note_s:
             run.step(k / RATE_HZ)
             k += 1
@@ -261,12 +260,12 @@ def noticed(
     mounted(rig, mount)
     if modules is not None:
         swapped(rig, *modules)
-    plan = planned(scenario, run, seed, touches, 0)
+    plan = paths.plan(rig.model, rig.world.truth, seed, touches)
     rig.path = plan.path
     ends = [IDLE_S + touch.end_s + SEEN_S for touch in plan.touches]
     for k in range(round(ends[-1] * RATE_HZ) + 1):
         run.step(k / RATE_HZ)
-        suspect = daemon.pipeline.check.doubt.suspect
+        suspect = daemon.pipeline.doubt.suspect
         if suspect is not Suspect.NONE:
             return int(np.searchsorted(ends, k / RATE_HZ)) + 1, suspect.name.lower()
     return 0, ""

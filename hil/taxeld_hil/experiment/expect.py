@@ -5,14 +5,11 @@ object is *found*, and the estimate *sure* or *misleading*, as in `integrity`.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from taxeld.arrays import Floats, Poses
-from taxeld.model import contacts, se2
-from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.proposals.analytic import Table
 from taxeld_hil.experiment.expect_subjects import known_responses
 from taxeld_hil.experiment.measurement import RunRow, digest
@@ -28,9 +25,8 @@ RATE_HZ = 40.0
 SEEN_S = 0.4  # after the end of a touch, by when the daemon has learned from it
 AS_IS, BY_TABLE, CALIBRATED = "as it is", "as it is, by table", "calibration"
 TABLE = 'proposal = "table"'
-SIDES = 8  # around the object, or around what its symmetry leaves
 HALF = 0.5  # share of trials that are sure, at which what would help is compared
-LEAST = 8  # seeds, or touches of a side, of which something is said
+LEAST = 8  # seeds of which something is said
 CHANCE = 2.0  # standard errors that chance alone may make
 
 
@@ -44,23 +40,6 @@ class Touched(NamedTuple):
     found: float  # shares of the trials
     found_and_sure: float
     misleading: float
-
-
-class Worth(NamedTuple):
-    """How much touches told: those of one number, or from one side. Of a side, touches from the
-    second on in trials that are not yet found and sure."""
-
-    name: str
-    touches: int
-    halvings: float  # of the error, on average
-    made_sure: float  # share of them after which a trial is found and sure that was not
-
-
-class Gain(NamedTuple):
-    """What one touch told."""
-
-    halvings: float  # of the error
-    made_sure: bool
 
 
 class Help(NamedTuple):
@@ -95,20 +74,15 @@ def play(name: str, subject: Scenario, seed: int, touches: int, keys: str) -> Ru
     """One trial, as JSON has it; `keys`: of the daemon's table [filter]."""
     calibration = known_responses(subject, seed) if name == CALIBRATED else None
     run = FakeRun(subject, seed, RATE_HZ, keys, calibration)
-    model, truth = run.rig.model, run.rig.world.truth
-    plan = paths.plan(model, truth, lambda _: 0.0, seed, touches, 0)
+    plan = paths.plan(run.rig.model, run.rig.world.truth, seed, touches)
     run.rig.path = plan.path.erring(subject.robot_m, seed)
-    notes = [IDLE_S, *(IDLE_S + touch.end_s + SEEN_S for touch in plan.touches)]
+    notes = [IDLE_S + touch.end_s + SEEN_S for touch in plan.touches]
     after: list[dict[str, Any]] = []
     for k in range(math.ceil(notes[-1] * RATE_HZ) + 1):
         run.step(k / RATE_HZ)
         if k / RATE_HZ >= notes[len(after)]:
             after.append(_noted(run))
-    pressed = [plan.path.at(float(np.mean(touch.held_s))) for touch in plan.touches]
-    where = _where(model.scene, truth, np.array(pressed))
-    for noted, at in zip(after[1:], where, strict=True):
-        noted["at_mm"] = np.round(1e3 * at, 1).tolist()
-    return {"name": name, "seed": seed, "before_mm": after[0]["error_mm"], "after": after[1:]}
+    return {"name": name, "seed": seed, "after": after}
 
 
 def _noted(run: FakeRun) -> dict[str, Any]:
@@ -121,14 +95,6 @@ def _noted(run: FakeRun) -> dict[str, Any]:
         "found_and_sure": bool(is_found(error_mm) & is_sure(last.claimed)),
         "misleading": bool(is_misleading(last.claimed, error_mm, radius_mm)),
     }
-
-
-def _where(scene: Scene, truth: Poses, sensor: Poses) -> Floats:
-    """(n, 2) points of the object's outline, in its frame, that the sensor at poses (n, 3) in the
-    world presses first."""
-    x, y = contacts.axis_in_object(se2.compose(se2.inverse(sensor), truth[None]))
-    gap, gx, gy = scene.clearance(x, y)
-    return np.column_stack([x - gap * gx, y - gap * gy])
 
 
 def described(run: RunRow) -> str:
@@ -153,57 +119,6 @@ def table(runs: Sequence[RunRow]) -> list[Touched]:
     return rows
 
 
-def told_by_number(runs: Sequence[RunRow]) -> list[Worth]:
-    """How much the first, second, … touch told."""
-    each = [list(gains(run)) for run in runs]
-    return [_told(f"touch {k + 1}", found) for k, found in enumerate(zip(*each, strict=True))]
-
-
-def told_by_side(runs: Sequence[RunRow], scene: Scene) -> list[Worth]:
-    """How much touches of each side of the object told, most first; none of a round one, and
-    none of a side with few touches."""
-    if scene.symmetry == CONTINUOUS:
-        return []
-    sides: dict[str, list[Gain]] = {}
-    for run in runs:
-        for at_m, gain in open_gains(run):
-            sides.setdefault(side_of(at_m, scene), []).append(gain)
-    found = [_told(name, each) for name, each in sides.items() if len(each) >= LEAST]
-    return sorted(found, key=lambda told: -told.halvings)
-
-
-def side_of(at: Floats, scene: Scene) -> str:
-    """The side of the object that has a point (2,), by its angle about the centre [°]; sides that
-    the symmetry makes alike are one."""
-    fold = 360.0 / scene.symmetry
-    wide = min(360.0 / SIDES, fold / 2.0)
-    angle = np.degrees(np.arctan2(*(at - scene.centre)[::-1]))
-    middle = round(float(angle % fold) / wide) % round(fold / wide) * wide
-    return f"{middle:.0f}°" + f" and every {fold:.0f}°" * (scene.symmetry > 1)
-
-
-def gains(run: RunRow) -> Iterator[Gain]:
-    """Of each touch of a trial."""
-    error_mm, sure = run["before_mm"], False
-    for noted in run["after"]:
-        halvings = math.log2((error_mm + 1.0) / (noted["error_mm"] + 1.0))  # a mm is as good as 0
-        yield Gain(halvings, not sure and noted["found_and_sure"])
-        error_mm, sure = noted["error_mm"], noted["found_and_sure"]
-
-
-def open_gains(run: RunRow) -> Iterator[tuple[Floats, Gain]]:
-    """Of the touches from the second on that find a trial not yet sure, and their places (2,) [m]
-    on the object: those before and after tell little of a place."""
-    for k, gain in enumerate(gains(run)):
-        if k and not run["after"][k - 1]["found_and_sure"]:
-            yield 1e-3 * np.array(run["after"][k]["at_mm"]), gain
-
-
-def _told(name: str, found: Sequence[Gain]) -> Worth:
-    halvings, made_sure = np.array(found, dtype=float).mean(axis=0).tolist()
-    return Worth(name, len(found), halvings, made_sure)
-
-
 def helps(runs: Sequence[RunRow]) -> list[Help]:
     """What each change does, by trials of the same seeds, most helpful first. Shares are those
     after the first touch after which half of the trials are sure without it, or the last."""
@@ -225,7 +140,6 @@ def helps(runs: Sequence[RunRow]) -> list[Help]:
 
 
 def _help(name: str, after: int, pairs: Sequence[tuple[RunRow, RunRow]]) -> Help:
-    """Compare pairs of trials, without the change and with it."""
     noted = [[run["after"][after - 1] for run in pair] for pair in pairs]
     sure = np.array(
         [[each["found_and_sure"] for each in pair] for pair in noted], dtype=float

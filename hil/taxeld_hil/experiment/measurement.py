@@ -4,13 +4,13 @@ import hashlib
 import json
 from collections.abc import Sequence
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
 from taxeld.layout import read as layout_files
 from taxeld.proposals import bundle, manifest
+from taxeld_hil import jobs
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import solid_of
@@ -68,25 +68,13 @@ def save(path: Path, runs: Sequence[RunRow], **about: Any) -> None:
     path.write_text(f'{{{head}"runs": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
-def read(path: Path) -> list[RunRow]:
-    """The runs in such a file."""
-    runs: list[RunRow] = json.loads(path.read_text(encoding="utf-8"))["runs"]
-    return runs
-
-
 @cache
 def content(layout: str) -> str:
     """The digest of a layout file, or of a line; empty: of the bundle's own."""
     return layout_files.read(layout).digest if layout else ""
 
 
-@cache
 def code() -> str:
-    """Hash of the code and of the files shipped with it, as this process first found them."""
-    found = hashlib.sha256()
-    for package in ("taxeld", "taxeld_protocol", "taxeld_hil"):
-        root = Path(str(resources.files(package)))
-        for path in sorted(root.rglob("*")):
-            if path.suffix in (".py", ".toml") and path.is_file():
-                found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return found.hexdigest()
+    """Hash of the code and of the files shipped with it."""
+    packages = "taxeld", "taxeld_protocol", "taxeld_hil"
+    return jobs.code(tuple(f"{name}/**/*.{end}" for name in packages for end in ("py", "toml")))

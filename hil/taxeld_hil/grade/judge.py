@@ -229,7 +229,6 @@ class Judge:
             seen.usable_s = sample.t - fault.end_s
 
     def _close(self, seen: Seen) -> None:
-        """Decide whether it recovered."""
         seen.before = None
         if seen.usable_s is None:
             seen.doubted = self.last is not None and self.last.status in DOUBTS
@@ -254,7 +253,6 @@ class Judge:
         self._misled = misled
 
     def _note(self, sample: Sample) -> None:
-        """Count the last estimate after a contact."""
         if sample.contacts:
             error_mm = self._claimed_error_mm(sample)
             self.tally.stanford.add(sample.claimed, error_mm, 1e3 * sample.radius_m)
@@ -265,7 +263,6 @@ class Judge:
 
 
 def _window_s(scenario: Scenario) -> float:
-    """Time to recover after a fault's end [s]."""
     return scenario.expect.recovery_s + SETTLE_S
 
 

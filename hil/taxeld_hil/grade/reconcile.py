@@ -98,7 +98,6 @@ def _line(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
 
 
 def _onwards(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
-    """Laws of scans and poses inside the daemon."""
 
     def counted(name: str) -> int:
         return value(health, name)

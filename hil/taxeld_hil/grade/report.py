@@ -1,13 +1,12 @@
-"""A grade for people (lines of text), for programs (grade.json) and for CI (JUnit XML)."""
+"""A grade for people (lines of text) and for programs (grade.json)."""
 
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 from taxeld_hil.grade.grade import Check, Grade
 
-GRADE, JUNIT = "grade.json", "junit.xml"
+GRADE = "grade.json"
 MARKS = {True: "ok  ", False: "FAIL", None: "-   "}
 
 
@@ -37,34 +36,10 @@ def lines(grade: Grade) -> Iterator[str]:
 
 
 def write(grade: Grade, directory: Path) -> None:
-    """Write grade.json and junit.xml."""
+    """Write grade.json."""
     directory.mkdir(parents=True, exist_ok=True)
     text = json.dumps(grade.as_json(), indent=1)
     (directory / GRADE).write_text(text + "\n", encoding="utf-8")
-    ET.ElementTree(_junit(grade)).write(directory / JUNIT, encoding="utf-8", xml_declaration=True)
-
-
-def _junit(grade: Grade) -> ET.Element:
-    """A test suite, with a test case for each check."""
-    root, run, checks = ET.Element("testsuites"), grade.run, grade.checks
-    suite = ET.SubElement(
-        root,
-        "testsuite",
-        name=f"{run.scenario}.{run.target}.{run.transport}.{run.clock}",
-        tests=str(len(checks)),
-        failures=str(sum(check.passed is False for check in checks)),
-        skipped=str(sum(check.passed is None for check in checks)),
-        errors="0",
-    )
-    for check in checks:
-        case = ET.SubElement(suite, "testcase", classname=run.scenario, name=check.name)
-        if check.passed is None:
-            ET.SubElement(case, "skipped", message=check.detail)
-        elif not check.passed:
-            ET.SubElement(case, "failure", message=check.detail)
-        else:
-            ET.SubElement(case, "system-out").text = check.detail
-    return root
 
 
 def _line(check: Check) -> str:

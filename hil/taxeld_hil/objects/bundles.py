@@ -3,7 +3,8 @@
 import json
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -53,29 +54,38 @@ def bare(name: str, layout: Layout, height_m: float, depth_m: float, out: Path) 
     Raises:
         SetupError: the object cannot be used, or the skin misses it.
     """
-    path, attribution = meshes.find(name)
     scene = scenes.cut(name, layout, height_m)
+    info = about(name, layout, height_m, depth_m) | {"samplers": [], "auto": [Table.name]}
+    with making(name, info, out) as made:
+        write(scene, info, made)
+
+
+def about(name: str, layout: Layout, height_m: float, depth_m: float) -> dict[str, Any]:
+    """The part of `bundle.json` about an object on a layout, as `bare` has them."""
+    path, attribution = meshes.find(name)
     info: dict[str, Any] = {"object": path.stem, "attribution": attribution}
-    info |= {"layout": {"name": layout.name, "digest": layout.digest}, "height_m": height_m}
-    info |= {"depth_max_m": depth_m, "samplers": [], "auto": [Table.name]}
+    if Path(name).suffix:  # the harness has the meshes of YCB objects
+        info["mesh"] = MESH + path.suffix
+    info["layout"] = {"name": layout.name, "digest": layout.digest}
+    return info | {"height_m": height_m, "depth_max_m": depth_m}
+
+
+@contextmanager
+def making(name: str, info: dict[str, Any], out: Path) -> Iterator[Path]:
+    """A directory, with the object's own mesh if it has one, that takes the place of an older
+    bundle at `out` once it is finished."""
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent) as temporary:
         made = Path(temporary) / "bundle"
         made.mkdir()
-        if Path(name).suffix:  # the harness has the meshes of YCB objects
-            info["mesh"] = MESH + path.suffix
-            shutil.copyfile(path, made / info["mesh"])
-        write(scene, info, made)
-        replace(made, out)
-
-
-def replace(made: Path, out: Path) -> None:
-    """Move a finished directory to `out`, in place of an older bundle."""
-    if out.is_dir():
-        for file in out.iterdir():
-            file.unlink()
-        out.rmdir()
-    made.rename(out)
+        if "mesh" in info:
+            shutil.copyfile(name, made / info["mesh"])
+        yield made
+        if out.is_dir():
+            for file in out.iterdir():
+                file.unlink()
+            out.rmdir()
+        made.rename(out)
 
 
 def seal(directory: Path) -> None:

@@ -1,8 +1,7 @@
-"""A session as a picture: all its contacts, or four moments from no touch to the object found."""
+"""A session as a picture: four moments, from no touch to the object found."""
 
 import math
 from collections.abc import Iterator
-from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,8 +21,8 @@ from taxeld.model import se2
 from taxeld.source import session
 from taxeld.view.stage import truth_of
 
-COLUMNS = 4
 DPI, NUMBERS, WORDS = 110, 7, 8  # dots per inch; sizes of letters
+SPAN = 2.6  # sizes of the object that are shown to each side of it
 TRUTH: dict[str, Any] = {"label": "object, true", "color": "black", "lw": 1.2}
 FOUND: dict[str, Any] = {"label": "object, estimated", "color": "tab:red", "lw": 1.2, "ls": "--"}
 MAYBE: dict[str, Any] = {"label": "object, by each particle", "color": "tab:blue", "lw": 0.8}
@@ -40,47 +39,27 @@ class DrawnScan(NamedTuple):
     particles: Poses  # (N, 3)
 
 
-def draw(directory: Path, out: Path, *, finding: bool = False) -> None:
-    """One panel a contact: its deepest scan, and the estimate at its end. With `finding` instead
-    four moments, each above the unrolled skin.
+def draw(directory: Path, out: Path) -> None:
+    """Four moments, each above the unrolled skin.
 
     Raises:
-        SetupError: the session cannot be used, it has nothing of the kind, or `out` cannot be
-            written.
+        SetupError: the session cannot be used, its object is not found, or `out` cannot be written.
     """
     picture = SessionPicture(directory)
-    shown = four(list(picture.scans())) if finding else dict(_contacts(picture.scans()))
+    shown = four(list(picture.scans()))
     if not shown:
-        fault = "its object is not found by touch, so its finding is not drawn"
-        raise SetupError(f"{directory}: {fault if finding else 'holds no contact to draw'}")
-    if finding:
-        figure = Figure(figsize=(11, 4.6), layout="constrained")
-        axes = figure.subplots(2, 4, height_ratios=(3.6, 1.0), sharex="row", sharey="row")
-    else:
-        rows = -(-len(shown) // COLUMNS)
-        figure = Figure(figsize=(11, 2.7 * rows + 0.6), layout="constrained")
-        axes = figure.subplots(rows, min(COLUMNS, len(shown)), squeeze=False)
-        for unused in axes.flat[len(shown) :]:
-            unused.set_axis_off()
-    for (title, scan), axis in zip(shown.items(), axes.flat, strict=False):
-        picture.from_above(axis, scan, span=2.6 if finding else 2.2)
-        axis.set_title(title, fontsize=9)
-    for scan, axis in zip(shown.values(), axes[1] if finding else (), strict=False):
-        picture.unrolled(axis, scan)
-    if finding:
-        for axis in axes[:, 1:].flat:
-            axis.set_ylabel("")  # the panels of a row share it
+        raise SetupError(
+            f"{directory}: its object is not found by touch; see it by taxeld view {directory}"
+        )
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    above, below = figure.subplots(2, 4, height_ratios=(3.6, 1.0), sharex="row", sharey="row")
+    for (title, scan), one, skin in zip(shown.items(), above, below, strict=True):
+        picture.from_above(one, scan)
+        picture.unrolled(skin, scan)
+        one.set_title(title, fontsize=9)
+    for axis in (*above[1:], *below[1:]):
+        axis.set_ylabel("")  # the panels of a row share it
     picture.write(figure, out)
-
-
-def _contacts(scans: Iterator[DrawnScan]) -> Iterator[tuple[str, DrawnScan]]:
-    """A title and a scan for each contact."""
-    for contact, group in groupby(scans, key=lambda scan: scan.estimate.contact):
-        if contact:
-            own = list(group)
-            deepest, last = max(own, key=lambda scan: float(scan.z.max())), own[-1]
-            title = f"contact {last.estimate.contacts}: {(deepest.z > 0.0).sum()} taxels"
-            yield title, last._replace(z=deepest.z, sensor=deepest.sensor)
 
 
 def four(scans: list[DrawnScan]) -> dict[str, DrawnScan]:
@@ -130,8 +109,8 @@ class SessionPicture:
                     particles = pose.copy()
                 yield DrawnScan(outcome.estimate, outcome.activation.z, outcome.sensor, particles)
 
-    def from_above(self, axis: Axes, scan: DrawnScan, span: float) -> None:
-        """The link and the object, `span` sizes of the object to each side of it."""
+    def from_above(self, axis: Axes, scan: DrawnScan) -> None:
+        """The link and the object."""
         angle = np.linspace(0.0, 2.0 * np.pi, 100)
         circle = self._skin.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
         scene = self._scenes[scan.estimate.object]
@@ -147,7 +126,7 @@ class SessionPicture:
         x, y = MM * se2.apply(scan.sensor, self._skin.position_m[pressed, :2]).T
         axis.scatter(x, y, c=scan.z[pressed], s=14, zorder=3, **TAXELS)
         middle = scan.estimate.map if self._truth is None else self._truth
-        reach = span * scene.size
+        reach = SPAN * scene.size
         axis.set_xlim(MM * (middle[0] - reach), MM * (middle[0] + reach))
         axis.set_ylim(MM * (middle[1] - reach), MM * (middle[1] + reach))
         _label(axis, "x [mm]", "y [mm]")

@@ -6,7 +6,6 @@ Its process, its sockets and the kernel's devices are not part of it: a run in r
 from collections.abc import Sequence
 from typing import Any
 
-from taxeld.config import links
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout.layout import Layout
@@ -16,16 +15,15 @@ from taxeld.proposals import several
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.state import SkinState
-from taxeld.source import dialects
+from taxeld.source import buses, dialects
 from taxeld.source.array_source import ArraySource
 from taxeld.source.dialects import ToFrames
 from taxeld.source.source import Source
-from taxeld.source.sources import Bus, LiveSource, check_uids, joint
+from taxeld.source.sources import LiveSource
 from taxeld.stream import messages
 from taxeld_hil.run.memory import MemoryDevice, MemoryLine
 from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import BROADCAST, Command
-from taxeld_protocol.decoder import Scan
 
 
 class FakeDaemon:
@@ -47,18 +45,16 @@ class FakeDaemon:
         """
         config = several.sized(config, [scene.manifest for scene in scenes])
         samples = several.untimed(scenes, config.filter)
-        model, *more = (scene.model for scene in scenes)
-        given = [calibration, *[None] * (len(model.links) - 1)]
-        self.pipeline = Pipeline(config, model, samples, calibration=given, more=more)
-        self.buses = list[Bus]()
+        models = [scene.model for scene in scenes]
+        skins = [link.layout for link in models[0].links]
+        given = [calibration, *[None] * (len(skins) - 1)]
+        self.pipeline = Pipeline(config, skins, models, samples, calibration=given)
+        left = iter(lines)
+        self.buses = buses.opened(
+            config, skins, lambda source, skin, _: _source(source, skin, next(left))
+        )
         self._lines = lines
-        skins = [link.layout for link in model.links]
-        for (source, numbers), line in zip(links.buses(config), lines, strict=True):
-            own = [skins[k] for k in numbers]
-            check_uids([config.names[k] for k in numbers], own)
-            self.buses.append(Bus(_source(source, joint(own), line), numbers, own))
         self.source = self.buses[0].source  # of the first link
-        self.scans = 0
         self.outcomes: list[Outcome] = []  # outcomes of the last tick
         self._start_s = lines[0].now
         self.pipeline.freshness.came(self._start_s)
@@ -70,15 +66,11 @@ class FakeDaemon:
         self.pipeline.stages[link].poses.add(t, x, y, theta)
 
     def tick(self, t: float) -> None:
-        came: list[list[Scan]] = [[] for _ in self.pipeline.stages]
         for bus, line in zip(self.buses, self._lines, strict=True):
             for frame in line.take() if bus.source.comes_by_door else ():
                 if isinstance(frame, ArrayFrame):
                     bus.source.hear(frame)
-            for scan in bus.source.poll(t):
-                self.scans += 1
-                for link in bus.links_of(scan):
-                    came[link].append(scan)
+        came = buses.polled(self.buses, t)
         self.outcomes = list(self.pipeline.advance(came[0], t, *came[1:]))
         for outcome in self.outcomes:
             self.pipeline.freshness.came(t, outcome.link)
@@ -91,7 +83,7 @@ class FakeDaemon:
         """The part of /taxeld/health that the harness reads."""
         parts: dict[str, Any] = {
             "uptime_s": t - self._start_s,
-            "loop": {"scans": self.scans},
+            "loop": {"scans": sum(bus.scans for bus in self.buses)},
             "source": self.source.wire.stats(),
             "inputs": {**self.pipeline.stages[0].counts(), "poses_malformed": 0},
             **self.pipeline.health(),

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate
@@ -28,13 +27,6 @@ from taxeld_protocol.frames import Frame, format_log_line
 
 NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
 HEALTH_S = 1.0
-
-
-class ContactEnd(NamedTuple):
-    """The daemon's estimate at the end of a contact."""
-
-    estimate: Estimate
-    error_mm: float  # symmetry-aware ADD of the MAP
 
 
 class FakeRun:
@@ -116,20 +108,13 @@ class FakeRun:
         run = Run(name, self._seed, "sim", "fake", self.scenario.transport)
         return grade(run, self.judge, held, ledger)
 
-    def run(self) -> list[ContactEnd]:
-        """To the end; → the estimates at which contacts ended."""
+    def run(self) -> None:
+        """To the end."""
         period = 1.0 / self.config.loop.rate_hz
         ticks = 0
-        ends: list[ContactEnd] = []
-        last: Estimate | None = None
-        while ticks < round(
-            max(rig.duration_s for rig in self.rigs) / period
-        ):  # a robot that is advised goes on
-            e = self.step(ticks * period)
+        while ticks < round(self.duration_s / period):  # a robot that is advised goes on
+            self.step(ticks * period)
             ticks += 1
-            if last is not None and e is not None and last.contact and not e.contact:
-                ends.append(ContactEnd(e, self.judge.error_mm(e.map)))
-            last = e
         for line in self.lines:
             line.send_rest()
         for k in range(ticks, ticks + 5):  # a scan may wait for its pose
@@ -139,7 +124,6 @@ class FakeRun:
         if self.daemon is not None:
             self.judge.on_health(self.line.t, self.daemon.health(self.line.now))
         self.judge.end(self.line.t)
-        return ends
 
     @property
     def duration_s(self) -> float:

@@ -150,7 +150,6 @@ class LiveRun:
                 raise SetupError(f"the daemon did not start the skin within {START_S:g} s")
 
     def _supervise(self, bench: Bench) -> None:
-        """Kill and start what the scenario says."""
         t = bench.t
         for event in self.processes.act(lambda kind: bench.rig.fails(kind, t)):
             if event == "daemon killed":

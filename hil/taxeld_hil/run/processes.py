@@ -76,7 +76,7 @@ class Processes:
             SetupError: the daemon would refuse the bundle on this layout.
         """
         known = SceneConfig(bundles=scenario.known)
-        several.load(known, layouts.load(scenario.skin_layout))
+        several.load(known, [layouts.load(scenario.skin_layout)])
         run = ("run", "--log-level", log_level, str(config))
         watch = ("watch", "--endpoint", endpoint, "--bundle", scenario.bundle)
         skin = ("--layout", scenario.skin_layout)

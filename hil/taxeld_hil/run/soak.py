@@ -9,7 +9,7 @@ import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from statistics import median_high
@@ -177,10 +177,15 @@ def resumed(path: Path, base: Scenario, new: Soak) -> Soak:
     new = replace(new, object=base.bundle, physics=base.physics, layout=layout_name(base.layout))
     if not path.is_file():
         return new
-    data = _read(path)
+    try:
+        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        alike = all(data[name] == getattr(new, name) for name in ASKED)
+    except OSError as error:
+        raise SetupError(f"{path}: {error.strerror}") from None
+    except (ValueError, TypeError, KeyError):
+        raise SetupError(f"{path}: is no report of a soak; name another file") from None
     if not {spec.name for spec in fields(Soak)} <= data.keys():
         raise SetupError(f"{path}: is a report of an older kind; name another file")
-    alike = all(data[name] == getattr(new, name) for name in ASKED)
     if not alike or data["hours_done"] >= new.hours:
         return new
     kept = {spec.name: data[spec.name] for spec in fields(Soak)}
@@ -188,20 +193,6 @@ def resumed(path: Path, base: Scenario, new: Soak) -> Soak:
     for name in ("faults", "misleading_after", "flags_missed", "doubted", "not_recovered"):
         kept[name] = Counter(kept[name])
     return Soak(**{**kept, "hours": new.hours, "unexplained_before": kept["unexplained"]})
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """A report, maybe of an older kind. Raises SetupError where it is none."""
-    try:
-        report: dict[str, Any] = {"layout": ""} | json.loads(path.read_text(encoding="utf-8"))
-        missing = {"laps", *ASKED} - report.keys()
-    except OSError as error:
-        raise SetupError(f"{path}: {error.strerror}") from None
-    except (ValueError, TypeError):
-        raise SetupError(f"{path}: is no report of a soak; name another file") from None
-    if missing:
-        raise SetupError(f"{path}: is no report of a soak; name another file")
-    return report
 
 
 def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
@@ -267,81 +258,3 @@ def resident_mb(pid: int | str) -> float:
 
 def _silence(_: str) -> None:
     """Nothing is printed."""
-
-
-def table(paths: list[Path]) -> Iterator[str]:
-    """Reports side by side as a Markdown table, a column each, as docs/harness.md shows them.
-
-    Raises:
-        SetupError: a file is no report of a soak.
-    """
-    reports = [_read(path) for path in paths]
-    yield "| | " + " | ".join(f"[{path.stem}](results/{path.name})" for path in paths) + " |"
-    yield "|---" * (len(paths) + 1) + "|"
-    for name, cell in ROWS.items():
-        yield f"| {name} | " + " | ".join(_cell(cell, report) for report in reports) + " |"
-
-
-def _cell(cell: Callable[[dict[str, Any]], str], report: dict[str, Any]) -> str:
-    try:
-        return cell(report)
-    except KeyError:  # a report of an older kind
-        return "not measured"
-
-
-def _misleading(report: dict[str, Any]) -> str:
-    """Without a deceptive fault, and after one."""
-    after = report["misleading_after"]
-    deceived = sum(after.get(kind, 0) for kind in laps.DECEPTIVE)
-    return f"{sum(after.values()) - deceived}, {deceived}"
-
-
-def _after_contacts(report: dict[str, Any]) -> str:
-    of = report["stanford"]
-    return f"{of['misleading']} of {of['sure']}"
-
-
-def _recovery(report: dict[str, Any]) -> str:
-    worst = report["worst_recovery_s"]
-    kind = max(worst, key=worst.__getitem__, default="")
-    return f"{worst[kind]:.2f} s ({kind})" if kind else "none to see"
-
-
-def _memory(report: dict[str, Any]) -> str:
-    values = [mb for _, mb in report["rss_mb"]]
-    if not values:
-        return "too short to see"
-    return f"{min(values):.0f}..{max(values):.0f} MB, {report['growth_mb']:+.1f} MB"
-
-
-def _of_full(report: dict[str, Any], key: str) -> str:
-    full, some = report["full"], report[key]
-    return f"{some} of {full} ({some / full:.1%})" if full else "none"
-
-
-ROWS: dict[str, Callable[[dict[str, Any]], str]] = {
-    "object, skin, clock": lambda r: (
-        f"{Path(r['object']).name}, `{r['physics']}`, {r['clock']}"
-        + (f", {r['layout']}" if r["layout"] else "")
-    ),
-    "hours of scans": lambda r: f"{r['hours_done']:.1f}",
-    "laps": lambda r: f"{r['laps']}",
-    "scans sent": lambda r: f"{r['scans_sent']:,}".replace(",", " "),
-    "frames delivered": lambda r: f"{r['units']:,}".replace(",", " "),
-    "faults": lambda r: f"{sum(r['faults'].values())}",
-    "frames, packets, scans and poses not accounted for": lambda r: f"{r['unexplained']}",
-    "misleading without a deceptive fault in the lap, and after one": _misleading,
-    "misleading after a contact, of the sure": _after_contacts,
-    "found and sure at the lap's end": lambda r: f"{r['found_and_sure']}",
-    f"of laps in which all {laps.CONTACTS} contacts were felt": lambda r: _of_full(
-        r, "full_found_and_sure"
-    ),
-    "of these, found, sure or not": lambda r: _of_full(r, "full_found"),
-    "worst recovery": _recovery,
-    "not recovered in time": lambda r: f"{sum(r['not_recovered'].values())}",
-    "still in doubt 3 s after": lambda r: f"{sum(r['doubted'].values())}",
-    "flags late or never": lambda r: f"{sum(r['flags_missed'].values())}",
-    "memory, and its growth from the first third to the last": _memory,
-    "minutes of one core": lambda r: f"{r['cpu_s'] / 60:.0f}" if r["cpu_s"] else "not measured",
-    "passed": lambda r: "yes" if r["passed"] else "no",
-}

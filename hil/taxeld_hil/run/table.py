@@ -29,7 +29,6 @@ def rows(seeds: Iterable[int], bundle: str = "", foam: str = "", layout: str = "
 
 
 def _row(name: str, same: tuple[dict[str, Any], ...]) -> str:
-    """One fault, as it went in each run."""
     first = same[0]
     flag = f"`{first['flag'].replace(', ', '`, `')}`" if first["flag"] else "nothing"
     cells = [

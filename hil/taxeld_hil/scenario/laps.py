@@ -50,7 +50,6 @@ def lap(base: Scenario, seed: int, number: int, kinds: tuple[str, ...] = KINDS) 
 
 @cache
 def _sizes(layout: str) -> tuple[int, int]:
-    """How many modules and taxels a skin has."""
     uid = layouts.load(layout).uid
     return len(np.unique(uid >> 4)), len(uid)
 

@@ -67,7 +67,6 @@ def text(
 
 
 def _skins(scenario: Scenario, channel: str, place: Path) -> str:
-    """The table of the skin, or one for each of several links."""
     tables = [
         SKIN.format(
             layout=scenario.of_link(number).skin_layout,

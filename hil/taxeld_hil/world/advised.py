@@ -25,7 +25,7 @@ class AdvisedRobot:
         """`truth` (3,): the object's pose in the world; `hold_s`: how long a press is held."""
         self._model, self._truth, self._hold_s = model, truth, hold_s
         self._centre = se2.compose(truth, np.array([*model.scene.centre, 0.0]))[:2]
-        self._circle = model.scene.size + model.layout.radius_m + robot.STANDOFF_M
+        self._circle = model.scene.reach + model.layout.radius_m + robot.STANDOFF_M
         angle = np.random.default_rng(seed).uniform(-np.pi, np.pi)
         start = [*self._around(self._circle, angle), robot.first_yaw(model.layout, angle)]
         self.path = RobotPath(np.zeros(1), np.array([start]))

@@ -26,11 +26,10 @@ def plan(
 ) -> TouchPlan:
     """`idle_s` untouched, then so many presses of the object at `truth` (3,)."""
     rng, scene = np.random.default_rng(seed), model.scene
-    centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
-    circle = scene.size + model.layout.radius_m + robot.STANDOFF_M
+    circle = robot.Circle(model, truth)
     angle, skin = rng.uniform(-np.pi, np.pi, 2)
     yaw = angle + np.pi - skin
-    track = Track(np.array([*_around(centre, circle, angle), yaw]))
+    track = Track(np.array([*circle.at(angle), yaw]))
     track.go(track.poses[0][None], idle_s)
     touches: list[Touch] = []
     for k in range(presses):
@@ -38,24 +37,18 @@ def plan(
         angle += 2.0 * np.pi / presses * rng.uniform(0.7, 1.3)
         skin += 2.0 * np.pi * GOLDEN
         yaw_to = yaw + se2.wrap(np.float64(angle + np.pi - skin - yaw))
-        span = PRESS_MM[1] - PRESS_MM[0]
-        for _ in range(robot.TRIES):
-            depth = 1e-3 * (PRESS_MM[0] + span * ((k * GOLDEN + 0.3 * rng.random()) % 1.0))
-            offset = rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
-            line = robot.approach(model, truth, centre, angle, offset, circle, depth, SLOW_FROM_M)
-            line = np.column_stack([line, np.full(3, yaw_to)])
-            if robot.strongest(model, truth, line[2]) > robot.TOUCH:
-                break
-        arc = np.linspace(before, angle, 2 + int(abs(angle - before) / robot.ARC_STEP_RAD))
-        way = np.column_stack([*_around(centre, circle, arc).T, np.linspace(yaw, yaw_to, len(arc))])
+
+        def draw(golden: float = k * GOLDEN) -> tuple[float, float]:
+            share = (golden + 0.3 * rng.random()) % 1.0
+            depth_m = 1e-3 * (PRESS_MM[0] + (PRESS_MM[1] - PRESS_MM[0]) * share)
+            return depth_m, rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
+
+        line = circle.press(angle, yaw_to, draw, SLOW_FROM_M)
+        arc = robot.arc_of(before, angle)
+        way = np.column_stack([circle.at(arc), np.linspace(yaw, yaw_to, len(arc))])
         track.go(np.vstack([way, line[:2]]), WAY_S)
-        touches.append(track.touch(line[2], is_light=False))
+        touches.append(track.touch(line[2]))
         track.go(np.vstack([line[:1], way[-1:]]), 0.3)
         yaw = yaw_to
     track.go(track.poses[-1][None], 1.0)
     return TouchPlan(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
-
-
-def _around(centre: Poses, circle: float, angle: float | Poses) -> Poses:
-    """(…, 2)"""
-    return np.asarray(centre + circle * np.stack([np.cos(angle), np.sin(angle)], axis=-1))

@@ -34,12 +34,9 @@ class MeshSkin:
         solid: Solid,
         layout: Layout,
         taxel_radius_m: float,
-        *,
-        sags: bool = True,
         depth_max_m: float = 0.0,
     ) -> None:
-        """A skin that does not sag, ever, is spared the points beside its electrodes; its foam
-        reads full scale at `depth_max_m`."""
+        """Its foam reads full scale at `depth_max_m`."""
         self._solid = solid
         self._taxels = len(layout)
         self._middle_of = layout.position_m  # (M, 3) centres of the electrodes
@@ -56,7 +53,7 @@ class MeshSkin:
                 np.repeat(radius, len(spots)),
             ]
         )
-        between = _lattice(angle, layout.position_m[:, 2], radius) if sags else np.empty((3, 0))
+        between = _lattice(angle, layout.position_m[:, 2], radius)
         phi, z, r = np.concatenate([on_taxel, between], axis=1)
         self._normal = np.stack([np.cos(phi), np.sin(phi)])
         self._point = np.stack([r * self._normal[0], r * self._normal[1], z])

@@ -1,6 +1,6 @@
 """The robot's path: around the object, in to a press, out again; poses by linear interpolation."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -70,12 +70,14 @@ class RobotPath:
 def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -> RobotPath:
     """A path that touches the object from all sides, in turn, at random offsets and depths; the
     object stands at `truth` (3,) in the world."""
-    rng = np.random.default_rng(seed)
-    scene = model.scene
-    centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
-    circle = scene.size + model.layout.radius_m + STANDOFF_M
+    rng, scene, circle = np.random.default_rng(seed), model.scene, Circle(model, truth)
     share = depth_share(model)
     start = rng.uniform(-np.pi, np.pi)
+
+    def draw() -> tuple[float, float]:
+        depth_m = share * rng.uniform(scenario.press_min_m, scenario.press_max_m)
+        return depth_m, rng.uniform(-0.7, 0.7) * scene.size
+
     poses: list[list[float]] = []
     times: list[float] = []
     now, yaw, before = 0.0, first_yaw(model.layout, start), start
@@ -84,14 +86,9 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
     for k in range(scenario.contacts):
         angle = start + step * (k + rng.uniform(-0.3, 0.3))
         yaw_to = next_yaw(model.layout, angle, yaw, rng)
-        for _ in range(TRIES):
-            depth = share * rng.uniform(scenario.press_min_m, scenario.press_max_m)
-            offset = rng.uniform(-0.7, 0.7) * scene.size
-            line = approach(model, truth, centre, angle, offset, circle, depth)
-            if strongest(model, truth, np.array([*line[2], yaw_to])) > TOUCH:
-                break
-        arc = np.linspace(before, angle, 2 + int(abs(angle - before) / ARC_STEP_RAD))
-        around = centre + circle * np.column_stack([np.cos(arc), np.sin(arc)])
+        line = circle.press(angle, yaw_to, draw)[:, :2]
+        arc = arc_of(before, angle)
+        around = circle.at(arc)
         legs = [(p, TRAVEL_M_S) for p in around] + [
             (line[0], TRAVEL_M_S),
             (line[1], APPROACH_M_S),
@@ -171,36 +168,58 @@ def depth_share(model: ObservationModel) -> float:
     return model.depth_max_m / SkinConfig().full_scale_depth_m
 
 
-def strongest(model: ObservationModel, truth: Poses, sensor: Poses) -> float:
-    """The strongest activation with the sensor at `sensor` (3,), the object at `truth` (3,)."""
-    return float(model.activation(se2.compose(se2.inverse(sensor), truth)[None]).max())
+def arc_of(before: float, angle: float) -> Floats:
+    """(A,) angles on the way from one to another, in small steps."""
+    return np.linspace(before, angle, 2 + int(abs(angle - before) / ARC_STEP_RAD))
 
 
-def approach(
-    model: ObservationModel,
-    truth: Poses,
-    centre: NDArray[np.float64],
-    angle: float,
-    offset: float,
-    circle: float,
-    depth: float,
-    slow_from_m: float = SLOW_FROM_M,
-) -> NDArray[np.float64]:
-    """(3, 2) points [m] of a straight approach: where it begins, where it slows, where it presses.
+class Circle:
+    """A circle clear of an object at `truth` (3,) in the world, on which approaches begin."""
 
-    `truth` (3,): the object's pose in the world; `centre` (2,) [m]: of the circle on which it
-    begins. An offset at which the sensor would miss the object is reduced.
-    """
-    inwards = -np.array([np.cos(angle), np.sin(angle)])
-    sideways = np.array([-inwards[1], inwards[0]])
-    far = np.sqrt(max(circle**2 - offset**2, 0.0))
-    way = np.arange(0.0, far, MARCH_M)
-    points = centre + offset * sideways - far * inwards + way[:, None] * inwards
-    sensor = np.column_stack([points, np.zeros(len(points))])
-    seen = se2.compose(se2.inverse(sensor), truth[None])
-    gap = contacts.clearance(model.scene, model.layout.radius_m, seen)
-    deep = np.flatnonzero(gap < -depth)
-    if not len(deep):
-        return approach(model, truth, centre, angle, 0.7 * offset, circle, depth, slow_from_m)
-    slow = np.flatnonzero(gap < slow_from_m)[0]
-    return np.asarray(points[[0, slow, deep[0]]])
+    def __init__(self, model: ObservationModel, truth: Poses) -> None:
+        self._model, self._truth = model, truth
+        self._centre = se2.compose(truth, np.array([*model.scene.centre, 0.0]))[:2]
+        self._radius_m = model.scene.size + model.layout.radius_m + STANDOFF_M
+
+    def at(self, angle: float | Floats) -> Floats:
+        """Points (…, 2) [m] at angles (…)."""
+        return np.asarray(
+            self._centre + self._radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        )
+
+    def press(
+        self,
+        angle: float,
+        yaw: float,
+        draw: Callable[[], tuple[float, float]],
+        slow_from_m: float = SLOW_FROM_M,
+    ) -> Poses:
+        """(3, 3) poses of a straight approach from an angle: where it begins, where it slows, where
+        it presses. `draw` has a depth and how far it passes the centre by [m], and is asked again
+        where a taxel would hardly be pressed."""
+        for _ in range(TRIES):
+            depth_m, offset_m = draw()
+            line = self._approach(angle, offset_m, depth_m, slow_from_m)
+            poses = np.column_stack([line, np.full(3, yaw)])
+            seen = se2.compose(se2.inverse(poses[2]), self._truth)
+            if self._model.activation(seen[None]).max() > TOUCH:
+                break
+        return poses
+
+    def _approach(self, angle: float, offset: float, depth: float, slow_from_m: float) -> Floats:
+        """(3, 2) points of an approach. An offset at which the sensor would miss the object is
+        reduced."""
+        model = self._model
+        inwards = -np.array([np.cos(angle), np.sin(angle)])
+        sideways = np.array([-inwards[1], inwards[0]])
+        far = np.sqrt(max(self._radius_m**2 - offset**2, 0.0))
+        way = np.arange(0.0, far, MARCH_M)
+        points = self._centre + offset * sideways - far * inwards + way[:, None] * inwards
+        sensor = np.column_stack([points, np.zeros(len(points))])
+        seen = se2.compose(se2.inverse(sensor), self._truth[None])
+        gap = contacts.clearance(model.scene, model.layout.radius_m, seen)
+        deep = np.flatnonzero(gap < -depth)
+        if not len(deep):
+            return self._approach(angle, 0.7 * offset, depth, slow_from_m)
+        slow = np.flatnonzero(gap < slow_from_m)[0]
+        return np.asarray(points[[0, slow, deep[0]]])

@@ -1,40 +1,29 @@
-"""Touches at a steady pace: presses all around the object, then presses that a light one follows.
+"""Touches at a steady pace, all around the object: each a ramp in, a hold and a ramp out, a second
+of contact in all."""
 
-Each is a ramp in, a hold and a ramp out, a second of contact in all. A light touch comes back to
-where the press before has just ended, so what it reads must be told from what that press has left.
-"""
-
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
-from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.world import robot
 from taxeld_hil.world.robot import RobotPath
 
 APART_S = (2.0, 3.0)  # range of times between the beginnings of two touches
-LIGHT_AFTER_S = (0.4, 1.4)  # range of times between a press and its light touch
 PRESS_MM = (2.0, 4.5)  # of foam whose full scale is 5 mm deep; of other foam in proportion
-LIGHT_MM = (0.3, 0.5)  # the same, at the taxel that is pressed most
 RAMP_S, HOLD_S = 0.3, 0.7
 SLOW_FROM_M = 0.004  # clearance at which a ramp begins and ends
 SIDEWAYS = 0.7  # most that an approach passes the centre by, in sizes of the object
 REST_S = 2.0
-HALVINGS = 12
-
-Deepest = Callable[[Poses], float]  # [m] of the most pressed taxel, the sensor at a pose (3,)
 
 
 class Touch(NamedTuple):
-    """Times on the path, and whether it is a light one."""
+    """Times on the path."""
 
     begin_s: float  # begin of the ramp in: nothing is touched yet
     held_s: tuple[float, float]
     end_s: float  # end of the ramp out
-    is_light: bool
 
 
 class TouchPlan(NamedTuple):
@@ -58,69 +47,44 @@ class Track:
         self.now += seconds
         self.times[-1] = self.now
 
-    def touch(self, at: Poses, *, is_light: bool) -> Touch:
+    def touch(self, at: Poses) -> Touch:
         """Add a ramp in to a pose (3,), a hold, and a ramp out."""
         begin, away = self.now, self.poses[-1]
         self.go(at[None], RAMP_S)
         held = self.now, self.now + HOLD_S
         self.go(at[None], HOLD_S)
         self.go(away[None], RAMP_S)
-        return Touch(begin, held, self.now, is_light)
+        return Touch(begin, held, self.now)
 
 
-def plan(
-    model: ObservationModel, truth: Poses, deepest: Deepest, seed: int, presses: int, pairs: int
-) -> TouchPlan:
-    """`presses` touches around the object at `truth` (3,), then `pairs` of a press and a light."""
+def plan(model: ObservationModel, truth: Poses, seed: int, presses: int) -> TouchPlan:
+    """So many touches around the object at `truth` (3,)."""
     rng, scene = np.random.default_rng(seed), model.scene
-    centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
-    circle = scene.size + model.layout.radius_m + robot.STANDOFF_M
+    circle = robot.Circle(model, truth)
     angle = rng.uniform(-np.pi, np.pi)
     yaw = robot.first_yaw(model.layout, angle)
-    track = Track(np.array([*_around(centre, circle, angle), yaw]))
+    track = Track(np.array([*circle.at(angle), yaw]))
     touches: list[Touch] = []
     out = track.poses[0][None]
-    step, share = 2.0 * np.pi / max(presses, 1), robot.depth_share(model)
-    for k in range(presses + pairs):
+    step, share = 2.0 * np.pi / presses, robot.depth_share(model)
+
+    def draw() -> tuple[float, float]:
+        depth_m = 1e-3 * share * rng.uniform(*PRESS_MM)
+        return depth_m, rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
+
+    for _ in range(presses):
         before, angle = angle, angle + step * rng.uniform(0.7, 1.3)
         yaw_to = robot.next_yaw(model.layout, angle, yaw, rng)
-        for _ in range(robot.TRIES):
-            depth = 1e-3 * share * rng.uniform(*PRESS_MM)
-            offset = rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
-            line = robot.approach(model, truth, centre, angle, offset, circle, depth, SLOW_FROM_M)
-            line = np.column_stack([line, np.full(3, yaw_to)])
-            if robot.strongest(model, truth, line[2]) > robot.TOUCH:
-                break
-        arc = np.linspace(before, angle, 2 + int(abs(angle - before) / robot.ARC_STEP_RAD))
-        way = np.column_stack([_around(centre, circle, arc), np.linspace(yaw, yaw_to, len(arc))])
+        line = circle.press(angle, yaw_to, draw, SLOW_FROM_M)
+        arc = robot.arc_of(before, angle)
+        way = np.column_stack([circle.at(arc), np.linspace(yaw, yaw_to, len(arc))])
         gone = track.now - touches[-1].begin_s if touches else 0.0
         track.go(np.vstack([out, way, line[:2]]), max(rng.uniform(*APART_S) - gone, 0.5))
         out = line[:1]  # the way out is the way in
-        touches.append(track.touch(line[2], is_light=False))
-        if k >= presses:
-            track.go(line[1:2], rng.uniform(*LIGHT_AFTER_S))
-            light = _at_depth(line[1], line[2], deepest, 1e-3 * share * rng.uniform(*LIGHT_MM))
-            touches.append(track.touch(light, is_light=True))
+        touches.append(track.touch(line[2]))
         yaw = yaw_to
-    track.go(np.vstack([out, [*_around(centre, circle, angle), yaw]]), 0.5)
+    track.go(np.vstack([out, [*circle.at(angle), yaw]]), 0.5)
     track.go(track.poses[-1][None], REST_S)
     touched = np.array([(touch.begin_s, touch.end_s) for touch in touches])
     path = RobotPath(np.array(track.times), np.array(track.poses), touched)
     return TouchPlan(path, tuple(touches))
-
-
-def _around(centre: Floats, circle: float, angle: float | Floats) -> Floats:
-    return np.asarray(centre + circle * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
-
-
-def _at_depth(clear: Poses, pressed: Poses, deepest: Deepest, depth_m: float) -> Poses:
-    """The pose (3,) between two, clear and pressed, where the most pressed taxel is so deep."""
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (
-            (low, middle)
-            if deepest(clear + middle * (pressed - clear)) > depth_m
-            else (middle, high)
-        )
-    return np.asarray(clear + high * (pressed - clear))

@@ -122,7 +122,6 @@ def failures(rows: Sequence[Row], path: Path) -> None:
 
 
 def _place(row: Row) -> tuple[str, ...]:
-    """The heading of a row's column."""
     given = condition(row)
     name = object_name(str(row["object"]))
     return (name,) if given == "as assumed" else (name, given)

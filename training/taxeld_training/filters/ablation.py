@@ -3,17 +3,15 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from taxeld.errors import SetupError
 from taxeld_training.filters import cells, constants, levels, reliability
 from taxeld_training.filters.cells import Results
 from taxeld_training.filters.constants import CONSTANTS, Change, Constant
 from taxeld_training.jobs import promises
-from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import Row, table
+from taxeld_training.jobs.options import Options, check, write
+from taxeld_training.jobs.rows import Row, number_of, table
 
 CELLS = (
     "as assumed",
@@ -63,10 +61,7 @@ def ablation_rows(options: Options) -> list[Path]:
 
 def _chosen(names: Sequence[str]) -> list[Constant]:
     """The constants by name; all if none is named."""
-    known = [constant.name for constant in CONSTANTS]
-    for name in names:
-        if name not in known:
-            raise SetupError(f"--groups: no '{name}' here; there are {', '.join(known)}")
+    check("--groups", names, [constant.name for constant in CONSTANTS])
     return [constant for constant in CONSTANTS if not names or constant.name in names]
 
 
@@ -93,9 +88,4 @@ def _table(rows: Sequence[Row]) -> str:
         "constant": lambda row: str(row["constant"]),
         "value": lambda row: "" if row["value"] is None else str(row["value"]),
     }
-    return table(rows, heads, {key: partial(_text, key=key) for key in COLUMNS})
-
-
-def _text(rows: Sequence[Row], key: str) -> str:
-    value = rows[0][key]
-    return "" if value is None else f"{value:g}"
+    return table(rows, heads, {key: number_of(key) for key in COLUMNS})

@@ -77,13 +77,16 @@ def advice_rows(options: Options) -> list[Path]:
     """Rows and picture of `evaluate advice`.
 
     Raises:
-        SetupError: no such object or guide.
+        SetupError: no such object, guide or cell.
     """
     from taxeld_training.charts import advice_chart  # noqa: PLC0415  # matplotlib is not needed to train
 
-    for name in options.groups:
-        if name not in GUIDES:
-            raise SetupError(f"--groups: no '{name}'; there are {', '.join(GUIDES)}")
+    for option, names, known in (
+        ("groups", options.groups, GUIDES),
+        ("cells", options.cells, CELLS),
+    ):
+        for name in set(names).difference(known):
+            raise SetupError(f"--{option}: no '{name}'; there are {', '.join(known)}")
     todo = [
         (given, Job(f"advice {given} {first}", play, (given, seed_of(options, first), size)))
         for given, count in wanted(options)
@@ -120,7 +123,8 @@ def wanted(options: Options) -> list[tuple[GuidedTrials, int]]:
             found += [
                 (GuidedTrials(setting, "exact", each, True), fewer) for each in (RANDOM, ADVICE)
             ]
-    return [each for each in found if not options.groups or each[0].guide in options.groups]
+    chosen, cells = options.groups or GUIDES, options.cells or CELLS
+    return [each for each in found if each[0].guide in chosen and each[0].cell in cells]
 
 
 def play(given: GuidedTrials, first: int, count: int) -> list[list[AdvisedTouch]]:

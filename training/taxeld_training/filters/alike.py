@@ -16,11 +16,12 @@ from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Table
 from taxeld_training.filters import several
-from taxeld_training.filters.cells import SEEDS_APART, TOUCHES
+from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.several import Recognised
 from taxeld_training.filters.touches import FOAMS, EndTrials
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs import identities
+from taxeld_training.jobs.blocks import SEEDS_APART
 
 STAGE = "pairs"
 
@@ -68,7 +69,6 @@ def lines(told: dict[str, Any]) -> Iterator[str]:
 
 
 def _played(folders: Sequence[Path], layout: Layout, asked: EndTrials, trials: range) -> list[Run]:
-    """Trials of some seeds with each object."""
     models = [bundle.load(str(folder), layout).model for folder in folders]
     known = [Known(model, Table(model)) for model in models]
     found = []

@@ -1,7 +1,6 @@
 """Cells of the filter's experiments: trials of one method under the same conditions, as jobs.
 
-A cell's trials are run and remembered in blocks of seeds. A later run with more trials adds to
-those of a run with fewer, and two experiments share the cells that they have in common.
+Two experiments share the cells that they have in common.
 """
 
 import hashlib
@@ -9,15 +8,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Hypotheses, Status
-from taxeld_hil.jobs import Job
 from taxeld_training.filters import constants, follow
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.constants import Change
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
-from taxeld_training.jobs.options import Options, run_jobs
+from taxeld_training.jobs import blocks
+from taxeld_training.jobs.options import Options, check
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.objects.setting import Setting, ring
 from taxeld_training.samplers import trained
@@ -25,8 +23,9 @@ from taxeld_training.samplers import trained
 COLUMNS = 16
 TOUCHES = 8
 BLOCK, GRID_BLOCK = 25, 5  # seeds a job; a trial of the grid filter takes seconds
-SEEDS_APART = 100_000  # seeds between the first trials of two values of --seed
 QUICK_UPDATES = 0.02
+
+seed_of = blocks.seed_of
 
 Results = dict[int, list[TouchResult]]  # results of each touch, by the trial's seed
 
@@ -62,9 +61,7 @@ def chosen(methods: Sequence[Method], names: Sequence[str]) -> list[Method]:
         SetupError: no method has such a proposal.
     """
     known = [*dict.fromkeys(method.proposal for method in methods), "shipped"]
-    for name in names:
-        if name not in known:
-            raise SetupError(f"--groups: no '{name}' here; there are {', '.join(known)}")
+    check("--groups", names, known)
     return [
         method
         for method in methods
@@ -74,29 +71,31 @@ def chosen(methods: Sequence[Method], names: Sequence[str]) -> list[Method]:
 
 def run(wanted: Iterable[tuple[Cell, int]], options: Options, size: int = 0) -> dict[Cell, Results]:
     """Results of cells, of as many trials of each as given, or as time allows, by blocks
-    of `size` or the usual one.
-
-    Models are trained first. Then every cell gets a first block of trials before any gets a
-    second one; the grid filter, which takes longest, comes last.
-    """
+    of `size` or the usual one. Models are trained first; the grid filter, which takes longest,
+    comes last."""
     counts = dict(wanted)
     files = trained.files(((cell.setting, cell.method.proposal) for cell in counts), options)
-    todo: list[tuple[int, Cell, Job]] = []
-    for cell, count in counts.items():
-        file = files.get((cell.setting, cell.method.proposal))
-        if file is None:
-            continue
-        block = GRID_BLOCK if cell.method.proposal == GRID else size or BLOCK
-        for first in range(0, count, block):
-            arguments = (cell, seed_of(options, first), min(block, count - first))
-            todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))
-    todo.sort(key=lambda each: (each[1].method.proposal == GRID, each[0]))
-    done = run_jobs([job for _, _, job in todo], options)
-    found: dict[Cell, Results] = {cell: {} for cell in counts}
-    for first, cell, job in sorted(todo, key=lambda each: each[0]):
-        for seed, touches in enumerate(done[job.name] or [], seed_of(options, first)):
-            found[cell][seed] = [_read(*touch) for touch in touches]
-    return {cell: results for cell, results in found.items() if results}
+    ready = {
+        cell: file
+        for cell in counts
+        if (file := files.get((cell.setting, cell.method.proposal))) is not None
+    }
+
+    def is_grid(cell: Cell) -> bool:
+        return cell.method.proposal == GRID
+
+    done = blocks.trials(
+        {cell: counts[cell] for cell in ready},
+        play,
+        options,
+        lambda cell: GRID_BLOCK if is_grid(cell) else size or BLOCK,
+        files=ready,
+        is_late=is_grid,
+    )
+    return {
+        cell: {seed: [_read(*touch) for touch in trial] for seed, trial in trials.items()}
+        for cell, trials in done.items()
+    }
 
 
 def play(cell: Cell, first: int, count: int, file: str) -> list[list[Any]]:
@@ -118,11 +117,6 @@ def play(cell: Cell, first: int, count: int, file: str) -> list[list[Any]]:
         ]
 
 
-def seed_of(options: Options, first: int) -> int:
-    """The seed of the trial with number `first`."""
-    return SEEDS_APART * options.seed + first
-
-
 def _read(
     map_mm: float,
     status: int | None,
@@ -133,7 +127,6 @@ def _read(
     cpu_ms: float,
     idle_ms: float,
 ) -> TouchResult:
-    """A touch as `play` has it."""
     known = None if status is None else Status(status)
     promised = p, radius_m, Hypotheses(*hypotheses)
     return TouchResult(map_mm, known, particles, *promised, cpu_ms, idle_ms)

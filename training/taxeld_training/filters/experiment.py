@@ -22,7 +22,7 @@ from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID, Row, trial_table
-from taxeld_training.jobs.statistics import of_median, of_share, p_share, quantiles, rounded
+from taxeld_training.jobs.statistics import of_median, p_share, quantiles, rounded, share
 from taxeld_training.objects.setting import OBJECTS, Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY, PAPER
@@ -211,10 +211,10 @@ def shares(results: Results, contact: int) -> dict[str, float | list[float] | No
     claims = last[0].status is not None
     so_far = [any(result.misleading for result in trial) for trial in trials]
     return {
-        **_share("found", [result.found for result in last]),
-        "sure_rate": _rate([result.sure for result in last]) if claims else None,
-        **_share("misleading", [result.misleading for result in last] if claims else []),
-        **_share("misleading_so_far", so_far if claims else []),
+        **share("found", [result.found for result in last], "_rate"),
+        "sure_rate": share("sure", [result.sure for result in last] if claims else [])["sure"],
+        **share("misleading", [result.misleading for result in last] if claims else [], "_rate"),
+        **share("misleading_so_far", so_far if claims else [], "_rate"),
     }
 
 
@@ -237,14 +237,3 @@ def p_shipped(mine: Results, shipped: Results | None, contact: int) -> float | N
     seeds = sorted(mine.keys() & shipped.keys())
     found = ([of[seed][contact - 1].found for seed in seeds] for of in (mine, shipped))
     return round(p_share(*found), 6)
-
-
-def _share(name: str, rule: Sequence[bool]) -> dict[str, float | list[float] | None]:
-    """Share of trials that obey a rule, with its interval; None without trials."""
-    if not rule:
-        return {f"{name}_rate": None, f"{name}_ci": None}
-    return {f"{name}_rate": _rate(rule), f"{name}_ci": rounded(of_share(rule))}
-
-
-def _rate(rule: Sequence[bool]) -> float:
-    return round(sum(rule) / len(rule), 4)

@@ -60,12 +60,7 @@ class Guide:
 
     def _line(self) -> Approach | None:
         work = hypotheses.drawn(self._estimator, self._effort.own, self._effort.fresh, self._rng)
-        while True:
-            try:
-                next(work)
-            except StopIteration as done:
-                found = done.value
-                break
+        found = hypotheses.at_once(work)
         fan = self._advisor.fan(found, 0)
         free, ways = self._advisor.free(fan, found)
         if not len(free):

@@ -5,15 +5,14 @@ trials of what ships, soaks, scenarios.
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld_hil.integrity import Stanford
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import Cell, Row, table
+from taxeld_training.jobs.rows import number_of, share_of, table
 from taxeld_training.jobs.statistics import of_count, rounded
 
 NAME, ALL = "integrity", "all"
@@ -85,18 +84,6 @@ def _row(source: str, diagram: Stanford) -> dict[str, Any]:
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    cells: dict[str, Cell] = {heading: partial(_count, key=key) for heading, key in COUNTS.items()}
-    cells["misleading of the sure"] = _share
+    cells = {heading: number_of(key) for heading, key in COUNTS.items()}
+    cells["misleading of the sure"] = share_of("misleading_rate", "misleading_ci")
     return table(rows, {"source": lambda row: str(row["source"])}, cells)
-
-
-def _count(rows: Sequence[Row], key: str) -> str:
-    return str(rows[0][key])
-
-
-def _share(rows: Sequence[Row]) -> str:
-    row = rows[0]
-    if row["misleading_rate"] is None:
-        return ""
-    low, high = row["misleading_ci"]
-    return f"{row['misleading_rate']:.2%} ({100 * low:.2f} – {100 * high:.2f})"

@@ -1,7 +1,7 @@
 """The table of conditions: every factor that differs from what a filter assumes, and its levels.
 
-All experiments on filters take their trials from this table, and `evaluate proposals --cells` the
-touches that samplers are measured on. `--cells` names factors (noise) or single levels (moved=5).
+All experiments on filters take their trials from this table. `--cells` names factors (noise) or
+single levels (moved=5).
 """
 
 import math
@@ -78,11 +78,6 @@ class Level:
         """The level as `--cells` names it."""
         level = self.level if isinstance(self.level, str) else f"{self.level:g}"
         return f"{self.factor}={level}"
-
-    @property
-    def changes_readings(self) -> bool:
-        """Whether a touch reads otherwise on this level, or as assumed on the first."""
-        return self.factor == LEVELS[0].factor or self.conditions != TrialConditions()
 
     def setting(self, name: str, options: Options) -> Setting:
         """The object `name` on this level's skin."""

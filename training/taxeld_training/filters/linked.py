@@ -21,17 +21,16 @@ from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import add_m
 from taxeld.proposals.analytic import Table
-from taxeld_hil import integrity
-from taxeld_hil.jobs import Job
+from taxeld_hil.integrity import Claims
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
-from taxeld_training.filters.cells import TOUCHES, seed_of
-from taxeld_training.filters.conditions import TrialConditions
+from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.follow import OWN_SEEDS
 from taxeld_training.filters.pairs import BETWEEN_S, OTHER_SEEDS
 from taxeld_training.filters.several import TABLED
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.filters.trials import Trial, TrialScan
-from taxeld_training.jobs.options import Options, run_jobs, write
+from taxeld_training.jobs import blocks
+from taxeld_training.jobs.options import Options, write
 from taxeld_training.objects import DEPTH_MAX_M
 from taxeld_training.objects.setting import ring
 
@@ -43,12 +42,12 @@ TURNS = {"first": (0,), "second": (1,), "both": (0, 1)}  # the links that touch,
 
 
 class LinkedTouch(NamedTuple):
-    """The estimate after a touch."""
+    """The estimate after a touch, as `Claims` has it, and what it cost."""
 
-    error_mm: float  # symmetric ADD
     p: float
     radius_mm: float
-    cpu_ms: float  # of all scans of the touch
+    error_mm: float  # symmetric ADD
+    cpu_ms: float  # processor time of the filter for all scans of the touch
 
 
 @dataclass(frozen=True)
@@ -57,8 +56,12 @@ class Linked:
 
     object: str
     layouts: tuple[str, str]
+    skin: str  # of `SKINS`
     links: str  # of `TURNS`
-    conditions: TrialConditions
+
+    @property
+    def name(self) -> str:
+        return f"{self.object} {self.skin} {self.links}"
 
 
 def link_rows(options: Options) -> list[Path]:
@@ -74,22 +77,11 @@ def link_rows(options: Options) -> list[Path]:
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     name = (options.objects or (OBJECT,))[0]
     model_of(name, (one, two))
-    rows = []
-    for skin in SKINS:
-        for links in TURNS:
-            of = Linked(name, (one, two), links, FOAMS[skin])
-            todo = [
-                Job(
-                    f"links {name} {skin} {links} {first}",
-                    play,
-                    (of, seed_of(options, first), min(BLOCK, count - first)),
-                )
-                for first in range(0, count, BLOCK)
-            ]
-            done = run_jobs(todo, options)
-            trials = [trial for job in todo for trial in done[job.name] or []]
-            if trials:
-                rows.append({"object": name, "skin": skin, "links": links} | _figures(trials))
+    wanted = {Linked(name, (one, two), skin, links): count for skin in SKINS for links in TURNS}
+    rows = [
+        {"object": name, "skin": of.skin, "links": of.links} | _figures([*trials.values()])
+        for of, trials in blocks.trials(wanted, play, options, BLOCK).items()
+    ]
     return [write(options, "links", rows)]
 
 
@@ -119,10 +111,9 @@ def _played(
         for moment in touch:
             estimator.on_scan(moment.activation, moment.sensor, link)
         cpu_ms = 1e3 * (process_time() - begun)
-        estimate = estimator.estimate
-        error_mm = 1e3 * add_m(model.scene, estimate.map, touch[-1].truth)[1]
-        radius_mm = 1e3 * estimate.radius_m
-        found.append(LinkedTouch(round(error_mm, 4), estimate.p, radius_mm, cpu_ms))
+        now = estimator.estimate
+        error_mm = 1e3 * add_m(model.scene, now.map, touch[-1].truth)[1]
+        found.append(LinkedTouch(now.p, 1e3 * now.radius_m, round(error_mm, 4), cpu_ms))
     return found
 
 
@@ -133,7 +124,7 @@ def _touches(
     each = [
         [list(moments) for _, moments in groupby(trial, lambda moment: moment.touch)]
         for trial in (
-            Trial(one, seed + k * OTHER_SEEDS, TOUCHES, given.conditions)
+            Trial(one, seed + k * OTHER_SEEDS, TOUCHES, FOAMS[given.skin])
             for k, one in enumerate(model.links)
         )
     ]
@@ -157,15 +148,16 @@ def _moved(moment: TrialScan, move: Poses, after_s: float) -> TrialScan:
 
 def _figures(trials: list[list[list[float]]]) -> dict[str, Any]:
     """Shares after each touch, and how many touches a trial took until it stayed found."""
-    error_mm, p, radius_mm, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
-    found, sure = integrity.is_found(error_mm), integrity.is_sure(p)
-    stays = np.logical_and.accumulate((found & sure)[:, ::-1], axis=1)
+    *of, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
+    claims = Claims(*of)
+    both = claims.found & claims.sure
+    stays = np.logical_and.accumulate(both[:, ::-1], axis=1)
     taken = TOUCHES + 1 - stays.sum(axis=1)
     return {
         "trials": len(trials),
-        "found": found.mean(axis=0).round(3).tolist(),
-        "found_and_sure": (found & sure).mean(axis=0).round(3).tolist(),
-        "misleading": int(integrity.is_misleading(p, error_mm, radius_mm).sum()),
+        "found": claims.found.mean(axis=0).round(3).tolist(),
+        "found_and_sure": both.mean(axis=0).round(3).tolist(),
+        "misleading": int(claims.misleading.sum()),
         "touches_to_sure": round(float(taken.mean()), 3),
         "touch_cpu_ms": round(float(np.median(cpu_ms[:, 1:])), 2),
     }

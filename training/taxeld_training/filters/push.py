@@ -1,18 +1,19 @@
 """`taxeld-train evaluate push`: a located object is pushed, with and without a motion model, and
 with one that knows what the object rests on, which is the limit."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld_hil.jobs import Job
 from taxeld_training.filters import follow
 from taxeld_training.filters.cells import COLUMNS, setting_of
 from taxeld_training.filters.pushing import PushedTrial
-from taxeld_training.jobs.options import Options, run_jobs, write
-from taxeld_training.jobs.statistics import of_median, of_share, quantiles, rounded
+from taxeld_training.jobs import blocks
+from taxeld_training.jobs.options import Options, write
+from taxeld_training.jobs.statistics import of_count, of_median, quantiles, rounded
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
@@ -21,10 +22,24 @@ OBJECTS = ("003_cracker_box", "025_mug")
 MOTIONS = ("push", "none", follow.TOLD)
 SEEDS, QUICK_SEEDS = 200, 2
 
+BLOCK = 20  # seeds a job
+
 Trials: TypeAlias = list[dict[str, Any]]  # results of trials, as `follow_push` has them
 
 
-def run(options: Options) -> list[Path]:
+@dataclass(frozen=True)
+class Pushed:
+    """Trials of an object under a filter's motion, of `MOTIONS`."""
+
+    setting: Setting
+    motion: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.setting.name} {self.motion}"
+
+
+def push_rows(options: Options) -> list[Path]:
     """Rows {object, motion, path_mm{q10, median, q90}, path_mm_ci, misleading_rate and _ci,
     seeds}: errors over the push, and the share of estimates that mislead at its end.
 
@@ -36,36 +51,35 @@ def run(options: Options) -> list[Path]:
     for name in objects:
         if trained.shipped(setting_of(name, COLUMNS, options)) is None:
             raise SetupError(f"--objects: {name} has no shipped bundle; push takes those that have")
-    todo = {
-        (name, motion): Job(
-            f"push-{name}-{motion}", play, (setting_of(name, COLUMNS, options), motion, seeds)
-        )
+    wanted = {
+        Pushed(setting_of(name, COLUMNS, options), motion): seeds
         for name in objects
         for motion in MOTIONS
     }
-    done = run_jobs(list(todo.values()), options)
-    rows = [
-        _row(name, motion, done[job.name]) for (name, motion), job in todo.items() if done[job.name]
-    ]
+    done = blocks.trials(wanted, play, options, BLOCK)
+    rows = [_row(of, [*trials.values()]) for of, trials in done.items()]
     return [write(options, "push", rows)]
 
 
-def play(setting: Setting, motion: str, seeds: int) -> Trials:
-    """The results of the trials of `seeds` seeds."""
-    model = trained.model_of(setting)
-    proposal = trained.proposal_of(DENSITY, setting, "")
-    return [follow.follow_push(PushedTrial(model, seed), motion, proposal) for seed in range(seeds)]
+def play(of: Pushed, first: int, count: int) -> Trials:
+    """The results of the trials of `count` seeds."""
+    model = trained.model_of(of.setting)
+    proposal = trained.proposal_of(DENSITY, of.setting, "")
+    return [
+        follow.follow_push(PushedTrial(model, seed), of.motion, proposal)
+        for seed in range(first, first + count)
+    ]
 
 
-def _row(name: str, motion: str, trials: Trials) -> dict[str, Any]:
+def _row(of: Pushed, trials: Trials) -> dict[str, Any]:
     values = [trial["path_mm"] for trial in trials]
     misleading = [bool(trial["misleading"]) for trial in trials]
     return {
-        "object": name,
-        "motion": motion,
+        "object": of.setting.object,
+        "motion": of.motion,
         "path_mm": quantiles(values, 2),
         "path_mm_ci": rounded(of_median(values, np.random.default_rng(0)), 2),
         "misleading_rate": float(np.mean(misleading)),
-        "misleading_ci": rounded(of_share(misleading)),
+        "misleading_ci": rounded(of_count(sum(misleading), len(misleading))),
         "seeds": len(trials),
     }

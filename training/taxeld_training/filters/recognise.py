@@ -15,19 +15,18 @@ from typing import Any
 import numpy as np
 
 from taxeld_hil.integrity import is_found, is_sure
-from taxeld_hil.jobs import Job
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import pairs, several
-from taxeld_training.filters.cells import COLUMNS, TOUCHES, seed_of, setting_of
+from taxeld_training.filters.cells import COLUMNS, TOUCHES, setting_of
 from taxeld_training.filters.levels import UNMET
 from taxeld_training.filters.pairs import Both, Pair
 from taxeld_training.filters.several import Compared, Crowd, Recognised
 from taxeld_training.filters.touches import FOAMS
-from taxeld_training.jobs import identities
+from taxeld_training.jobs import blocks, identities
 from taxeld_training.jobs.identities import UNKNOWN
 from taxeld_training.jobs.identity_tables import tables
-from taxeld_training.jobs.options import Options, run_jobs, write
-from taxeld_training.jobs.promises import share
+from taxeld_training.jobs.options import Options, write
+from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import OBJECTS, Setting
 
 SEEDS, QUICK_SEEDS = 100, 2  # about an hour on two cores
@@ -41,8 +40,6 @@ PAIR_SEEDS = 0.4  # factor of the number of trials with two objects
 ALL = "all"
 SHOWN = (2, 4, 6)  # contacts with a confusion matrix
 TOLD = (4, 6, 8)  # contacts after which unknown objects are looked for
-DUE, DUE_LATER = 4, 6  # contacts by which an object is to be recognised
-LATER = ("025_mug", "035_power_drill")  # objects that have until DUE_LATER
 
 Runs = dict[Crowd, list[list[Compared]]]  # results of each touch of the trials
 
@@ -56,15 +53,19 @@ def recognise_rows(options: Options) -> list[Path]:
     from taxeld_training.charts import identity_chart  # noqa: PLC0415  # matplotlib is not needed to train
 
     each = filters_of(options)
-    done = run(wanted(each, options), options)
+    done = {
+        crowd: [[_read(*touch) for touch in trial] for trial in trials.values()]
+        for crowd, trials in blocks.trials(
+            wanted(each, options), several.play, options, BLOCK
+        ).items()
+    }
     found = [
         row
         for (of, names), skin in ((one, skin) for one in each.items() for skin in SKINS)
         for row in _rows({"of": of, "skin": skin}, names, done)
     ]
     found += pair_rows(options)
-    rows = [*reached(found), *found]
-    data = write(options, "recognise", rows, tables(rows))
+    data = write(options, "recognise", found, tables(found))
     identity_chart.draw([row for row in found if row["of"] == TEN], data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
 
@@ -78,8 +79,7 @@ def filters_of(options: Options) -> dict[str, tuple[str, ...]]:
 
 def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Crowd, int]:
     """The trials: each filter with all objects that it knows, the first with the others as well."""
-    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    settings = {}
+    seeds, settings = _seeds(options), {}
     for name in (name for names in each.values() for name in names):
         meshes.find(name)
         settings[name] = _setting(name, options)
@@ -93,59 +93,33 @@ def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Crowd,
     return found
 
 
+def _seeds(options: Options) -> int:
+    return options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
+
+
 def _setting(name: str, options: Options) -> Setting:
     setting, layout = setting_of(name, COLUMNS, options), options.layouts[0]
     return replace(setting, skin=layout, columns=0) if layout else setting
-
-
-def run(counts: Mapping[Crowd, int], options: Options) -> Runs:
-    """Results of trials, as many as given, or as time allows. Every object gets a first block of
-    trials before any gets a second one."""
-    todo = [
-        (first, crowd, min(BLOCK, count - first))
-        for crowd, count in counts.items()
-        for first in range(0, count, BLOCK)
-    ]
-    todo.sort(key=lambda each: each[0])
-    jobs = [
-        Job(f"{crowd.name}-{first}", several.play, (crowd, seed_of(options, first), count))
-        for first, crowd, count in todo
-    ]
-    done = run_jobs(jobs, options)
-    found: Runs = {}
-    for (_, crowd, _), job in zip(todo, jobs, strict=True):
-        for trial in done[job.name] or []:
-            found.setdefault(crowd, []).append([_read(*touch) for touch in trial])
-    return found
 
 
 def pair_rows(options: Options) -> list[dict[str, Any]]:
     """Rows of trials of two objects that are touched in turn: of one kind, and of two."""
     names = TWO if not (options.objects or options.quick) else (options.objects or OBJECTS)[:2]
     first, last = (_setting(name, options) for name in (names[0], names[-1]))
-    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    count = max(round(PAIR_SEEDS * seeds), 1)
-    both = ((first, first), (first, last), (last, last))
-    found = []
-    for skin in SKINS:
-        for one, other in dict.fromkeys(both):
-            pair = Pair(one, other, FOAMS[skin])
-            todo = [(at, min(BLOCK, count - at)) for at in range(0, count, BLOCK)]
-            jobs = [
-                Job(f"{pair.name}-{at}", pairs.play, (pair, seed_of(options, at), size))
-                for at, size in todo
-            ]
-            done = run_jobs(jobs, options)
-            runs = [[Both(*touch) for touch in run] for job in jobs for run in done[job.name] or []]
-            if runs:
-                where = {"figure": "two", "of": TEN, "skin": skin}
-                objects = {"one": one.object, "other": other.object}
-                found += [where | objects | row for row in _of_pair(runs)]
-    return found
+    count = max(round(PAIR_SEEDS * _seeds(options)), 1)
+    both = dict.fromkeys(((first, first), (first, last), (last, last)))
+    where = {Pair(*pair, FOAMS[skin]): skin for skin in SKINS for pair in both}
+    done = blocks.trials(dict.fromkeys(where, count), pairs.play, options, BLOCK)
+    return [
+        {"figure": "two", "of": TEN, "skin": where[pair]}
+        | {"one": pair.one.object, "other": pair.other.object}
+        | row
+        for pair, runs in done.items()
+        for row in _of_pair([[Both(*touch) for touch in run] for run in runs.values()])
+    ]
 
 
 def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:
-    """Figures after as many touches of both objects together."""
     told = np.array(runs)  # (N, touches, 4)
     return [
         {"contact": contact, "seeds": len(told)}
@@ -155,39 +129,6 @@ def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:
         | {"misleading_targets": int(told[:, contact - 1, 3].sum())}
         for contact in range(2, told.shape[1] + 1, 2)
     ]
-
-
-def reached(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What the figures aimed at, and whether they reach it, each filter's and skin's; `below` names
-    the objects that miss it by themselves."""
-    found = []
-    for of, skin in dict.fromkeys((row["of"], row["skin"]) for row in rows):
-        mine = [row for row in rows if (row["of"], row["skin"]) == (of, skin)]
-        where = {"figure": "reach", "of": of, "skin": skin}
-        due = [row for row in mine if row["figure"] == "identity" and _is_due(row)]
-        of_right = [(row["object"], row["found"] / (row["right"] or np.inf)) for row in due]
-        for aim, least, values in (
-            ("right", 0.95, [(row["object"], row["right"]) for row in due]),
-            ("under 10 mm of the right", 0.95, of_right),
-        ):
-            below = [name for name, value in values if value < least]
-            mean = round(float(np.mean([value for _, value in values])), 4)
-            found.append({**where, "aim": aim, "least": least, "value": mean, "below": below})
-        for key, aim, bound, limit in (
-            ("auroc", "AUROC of other", "least", 0.95),
-            ("sure", "unknown, a wrong object sure", "most", 0.002),
-            ("ece", "calibration error", "most", 0.03),
-            ("settled_ratio", "cost settled", "most", 2.0),
-            ("first_ratio", "cost of the first touch", "most", 5.0),
-        ):
-            for row in mine:
-                if row.get(key) is not None:
-                    after = f", {row['contact']} contacts" if "contact" in row else ""
-                    found.append({**where, "aim": aim + after, bound: limit, "value": row[key]})
-    for row in found:
-        least, most = row.get("least", -np.inf), row.get("most", np.inf)
-        row["met"] = bool(least <= row["value"] <= most and not row.get("below"))
-    return found
 
 
 def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[str, Any]]:
@@ -285,12 +226,5 @@ def _cost(runs: Sequence[Sequence[Compared]]) -> dict[str, float]:
     return found
 
 
-def _is_due(row: dict[str, Any]) -> bool:
-    """Whether a row is of an object, after the contact by which it is to be recognised."""
-    due = DUE_LATER if row["object"] in LATER else DUE
-    return bool(row["object"] != ALL and row["contact"] == due)
-
-
 def _read(known: Sequence[Any], one: Sequence[Any] | None) -> Compared:
-    """A touch as `several.play` has it."""
     return Compared(Recognised(*known), None if one is None else Recognised(*one))

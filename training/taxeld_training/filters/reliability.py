@@ -24,7 +24,8 @@ from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.promise_tables import tables
-from taxeld_training.jobs.promises import Promises, share
+from taxeld_training.jobs.promises import Promises
+from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY

@@ -132,7 +132,7 @@ def identities(runs: Sequence[tuple[int, Sequence[Recognised]]]) -> Identities:
     )
     objects = np.array([[touch.objects for touch in run] for run in touches])
     error_mm[named != true[:, None]] = math.nan
-    return Identities(true, named, objects, other, p, error_mm, radius_mm)
+    return Identities(p, radius_mm, error_mm, true, named, objects, other)
 
 
 @lru_cache(maxsize=32)

@@ -19,12 +19,13 @@ from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC, Table
 from taxeld_training.filters import enough
-from taxeld_training.filters.cells import SEEDS_APART, TOUCHES
+from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.enough import Told
 from taxeld_training.filters.follow import follow
 from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.filters.trials import Trial
+from taxeld_training.jobs.blocks import SEEDS_APART
 
 STAGE = "trials"
 FOAMS = {  # levels of filters/levels.py
@@ -124,7 +125,6 @@ def _chosen(
 def _played(
     folder: Path, layout: Layout, asked: EndTrials, filters: dict[str, Method], worker: int
 ) -> dict[str, list[Told]]:
-    """A worker's trials, by each of the filters."""
     made = bundle.load(str(folder), layout)
     found: dict[str, list[Told]] = {name: [] for name in filters}
     for name, method in filters.items():

@@ -24,7 +24,6 @@ from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID, Row, condition, object_name, table
-from taxeld_training.jobs.statistics import of_share, rounded
 from taxeld_training.objects.setting import OBJECTS
 from taxeld_training.samplers.trained import DENSITY, PAPER
 
@@ -234,7 +233,7 @@ def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
         "idle_ms": round(quiet_ms(touches), 3),
         "found": np.mean(right, axis=0).round(4).tolist(),
         "found_and_sure": share,
-        "found_and_sure_ci": rounded(of_share([trial[AFTER - 1] for trial in both])),
+        "found_and_sure_ci": share("", [trial[AFTER - 1] for trial in both])["_ci"],
         "touches_to_90": next((k for k, each in enumerate(share, 1) if each >= MOST_FOUND), None),
         "misleading": sum(touch.misleading for touch in touches),
     }
@@ -250,7 +249,6 @@ def label(row: Row) -> str:
 
 
 def _table(rows: Sequence[Row]) -> str:
-    """A line a scene: the best filter, what ships, and the cheapest that is enough."""
     ranked = [row for row in rows if row["proposal"] != GRID]
 
     def shown(one: Callable[[list[Row]], Row | None]) -> Callable[[list[Row]], str]:

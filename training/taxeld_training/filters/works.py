@@ -57,7 +57,6 @@ def work_rows(options: Options) -> list[Path]:
 def _row(
     name: str, level: Level, touch: int, trials: Sequence[Sequence[TouchResult]]
 ) -> dict[str, Any]:
-    """Of trials of an object, what was true after a touch, counted from 1."""
     after = [trial[touch - 1] for trial in trials]
     middle, most = np.quantile([each.map_mm for each in after], (0.5, 0.9)).round(2).tolist()
     both = sum(each.found and each.sure for each in after)

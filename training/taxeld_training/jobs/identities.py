@@ -6,15 +6,16 @@ objects.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from taxeld.arrays import Bools, Floats, Index
-from taxeld_hil import integrity
-from taxeld_training.jobs.promises import calibration_error, reliability, share
+from taxeld_hil.integrity import Claims
+from taxeld_training.jobs.promises import calibration_error, reliability
+from taxeld_training.jobs.statistics import share
 
 UNKNOWN = -1  # `true` of a run whose object the filter does not know
 PARTED = 0.99  # probability of the touched object, were there but one other, that parts the two
@@ -23,31 +24,21 @@ FIRST, SECOND, SETTLED = slice(0, 1), slice(1, 2), slice(5, None)  # touches who
 
 
 @dataclass(frozen=True)
-class Identities:
-    """Estimates of N runs of T touches each, by a filter that knows K objects."""
+class Identities(Claims):
+    """Estimates of N runs of T touches each, by a filter that knows K objects. The claims (N, T)
+    are of the object of each estimate."""
 
     true: Index  # (N,) number of the touched object, or UNKNOWN
     named: Index  # (N, T) number of the object of the estimate
     objects: Floats  # (N, T, K) probabilities of the known objects
     other: Floats  # (N, T) probability of none of them
-    p: Floats  # (N, T)
-    error_mm: Floats  # (N, T); nan where another object is named
-    radius_mm: Floats  # (N, T)
 
     def __len__(self) -> int:
         return len(self.true)
 
     def only(self, kept: Bools) -> "Identities":
         """The runs in `kept` (N,)."""
-        return Identities(
-            self.true[kept],
-            self.named[kept],
-            self.objects[kept],
-            self.other[kept],
-            self.p[kept],
-            self.error_mm[kept],
-            self.radius_mm[kept],
-        )
+        return Identities(*(getattr(self, field.name)[kept] for field in fields(self)))
 
     @property
     def known(self) -> Bools:
@@ -57,18 +48,6 @@ class Identities:
     @property
     def right(self) -> Bools:
         return np.asarray(self.named == self.true[:, None])
-
-    @property
-    def found(self) -> Bools:
-        return integrity.is_found(self.error_mm)
-
-    @property
-    def sure(self) -> Bools:
-        return integrity.is_sure(self.p)
-
-    @property
-    def misleading(self) -> Bools:
-        return integrity.is_misleading(self.p, self.error_mm, self.radius_mm)
 
     @property
     def of_named(self) -> Floats:

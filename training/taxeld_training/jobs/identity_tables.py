@@ -10,19 +10,14 @@ SHOWN = (1, 2, 4, 6, 8)  # contacts that the tables speak of
 
 
 def tables(rows: Sequence[Row]) -> str:
-    """What was aimed at, then figures by object, of unknown objects, and of what it costs."""
+    """Figures by object, of unknown objects, and of what it costs."""
     of = {
         figure: [row for row in rows if row["figure"] == figure]
-        for figure in ("reach", "identity", "unknown", "two", "cost")
+        for figure in ("identity", "unknown", "two", "cost")
     }
     told = [row for row in of["unknown"] if "contact" in row]
     place = {"knows": lambda row: str(row["of"]), "skin": lambda row: str(row["skin"])}
     parts = [
-        table(
-            of["reach"],
-            {**place, "aim": _aim},
-            {"value": lambda each: f"{each[0]['value']:.4g}", "met": _met},
-        ),
         table(
             of["identity"],
             {**place, "object": lambda row: object_name(str(row["object"]))},
@@ -73,16 +68,6 @@ COSTS = {  # heading → keys of a filter of several objects, and of one object
     "worst scan of a trial, median": ("worst_median_ms", "worst_one_median_ms"),
     "worst scan": ("worst_ms", "worst_one_ms"),
 }
-
-
-def _aim(row: Row) -> str:
-    bound = f"≥ {row['least']:g}" if "least" in row else f"≤ {row['most']:g}"
-    return f"{row['aim']} {bound}"
-
-
-def _met(rows: list[Row]) -> str:
-    below = ", ".join(object_name(name) for name in rows[0].get("below", ()))
-    return "yes" if rows[0]["met"] else f"no: {below}" if below else "no"
 
 
 def _shares(key: str) -> Cell:

@@ -1,12 +1,9 @@
 """How an experiment is run: its options, its jobs under them, and the file that its rows go to."""
 
-import hashlib
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -57,30 +54,19 @@ class Options:
     def measured(self) -> Path:
         """The part of the memory that holds results of today's code and bundles. Trained models
         stand beside it, in `memory` itself: they outlast a change of the code."""
-        return self.memory / code()
-
-
-@cache
-def code(decides: tuple[str, ...] = DECIDES) -> str:
-    """Hash of the files that decide a result; `decides` are their paths in the packages."""
-    digest = hashlib.sha256()
-    for pattern in decides:
-        package, _, inside = pattern.partition("/")
-        for file in sorted(Path(str(resources.files(package))).glob(inside)):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()[:12]
+        return self.memory / jobs.code(DECIDES)
 
 
 def run_jobs(todo: Sequence[Job], options: Options, memory: Path | None = None) -> dict[str, Any]:
     """Results by job name, as `jobs.run` has it, remembered in `options.measured` or in another
     `memory`; torch has one thread in each job."""
+    torch.set_num_threads(1)  # here; workers have it from their environment
     return jobs.run(
         todo,
         memory or options.measured,
         workers=options.workers,
         dask=options.dask,
         until=options.until,
-        prepare=_one_thread,
     )
 
 
@@ -91,6 +77,13 @@ def with_file(job: Job, memory: Path, suffix: str) -> Job:
     if not path.is_file():
         jobs.forget(job, memory)
     return replace(job, beside=(str(path),))
+
+
+def check(option: str, names: Sequence[str], known: Sequence[str]) -> None:
+    """Raises SetupError where an option names what there is not."""
+    for name in names:
+        if name not in known:
+            raise SetupError(f"{option}: no '{name}' here; there are {', '.join(known)}")
 
 
 def write(options: Options, name: str, rows: Sequence[Row], table: str = "") -> Path:
@@ -109,7 +102,3 @@ def write(options: Options, name: str, rows: Sequence[Row], table: str = "") -> 
     if table:
         path.with_suffix(".md").write_text(f"{table}\n", encoding="utf-8")
     return path
-
-
-def _one_thread() -> None:
-    torch.set_num_threads(1)

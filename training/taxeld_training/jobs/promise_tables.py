@@ -4,7 +4,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from taxeld_training.jobs.promises import CONTACTS
-from taxeld_training.jobs.rows import Cell, Row, condition, object_name, table
+from taxeld_training.jobs.rows import (
+    Cell,
+    Row,
+    condition,
+    number_of,
+    object_name,
+    share_of,
+    table,
+)
 
 
 def tables(rows: Sequence[Row]) -> str:
@@ -20,14 +28,18 @@ def tables(rows: Sequence[Row]) -> str:
         table(
             bins,
             {"over": lambda row: str(row["over"]), "p": _bin},
-            {"n": _number("n"), "mean p": _number("mean_p"), "found": _share("right", "right_ci")},
+            {
+                "n": number_of("n"),
+                "mean p": number_of("mean_p"),
+                "found": share_of("right", "right_ci"),
+            },
         ),
         table(
             wrong,
             place,
             {
-                "sure": _share("sure_share", "sure_share_ci"),
-                "told after 6": _share("told", "told_ci"),
+                "sure": share_of("sure_share", "sure_share_ci"),
+                "told after 6": share_of("told", "told_ci"),
             },
         ),
         table(
@@ -36,7 +48,7 @@ def tables(rows: Sequence[Row]) -> str:
             {
                 "noticed in 1, 2, 3": _shares("noticed"),
                 "where sure before": _shares("noticed_if_sure"),
-                "of": _number("sure_before"),
+                "of": number_of("sure_before"),
             },
         ),
         table(single, place, _kept()),
@@ -47,14 +59,14 @@ def tables(rows: Sequence[Row]) -> str:
 def _kept() -> dict[str, Cell]:
     """Columns of the figures that `promises.kept` has."""
     found = {
-        "estimates": _number("estimates"),
-        "ECE": _number("ece"),
-        "sure": _number("sure"),
-        "misleading of these": _share("misleading_rate", "misleading_ci"),
-        "median radius, mm": _number("radius_mm"),
+        "estimates": number_of("estimates"),
+        "ECE": number_of("ece"),
+        "sure": number_of("sure"),
+        "misleading of these": share_of("misleading_rate", "misleading_ci"),
+        "median radius, mm": number_of("radius_mm"),
     }
-    found |= {f"found and sure, {k}": _share(f"found_and_sure_{k}") for k in CONTACTS}
-    return found | {f"misleading, {k}": _share(f"misleading_{k}") for k in CONTACTS}
+    found |= {f"found and sure, {k}": share_of(f"found_and_sure_{k}") for k in CONTACTS}
+    return found | {f"misleading, {k}": share_of(f"misleading_{k}") for k in CONTACTS}
 
 
 def _object(row: Row) -> str:
@@ -67,27 +79,6 @@ def _tuned(row: Row) -> str:
 
 def _bin(row: Row) -> str:
     return f"{row['from']:.1f} …"
-
-
-def _number(key: str) -> Cell:
-    def text(rows: list[Row]) -> str:
-        value = rows[0][key]
-        return "" if value is None else f"{value:g}"
-
-    return text
-
-
-def _share(key: str, interval: str = "") -> Cell:
-    def text(rows: list[Row]) -> str:
-        value: float | None = rows[0][key]
-        if value is None:
-            return ""
-        if not interval:
-            return f"{value:.1%}"
-        low, high = rows[0][interval]
-        return f"{value:.2%} ({100 * low:.2f} – {100 * high:.2f})"
-
-    return text
 
 
 def _shares(key: str) -> Cell:

@@ -12,37 +12,21 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index
-from taxeld_hil import integrity
-from taxeld_hil.integrity import Stanford
-from taxeld_training.jobs.statistics import of_count, rounded
+from taxeld_hil.integrity import Claims, Stanford
+from taxeld_training.jobs.statistics import share
 
 BINS = 10
 CONTACTS = (4, 6, 8)  # contacts with shares of their own
 
 
 @dataclass(frozen=True)
-class Promises:
+class Promises(Claims):
     """Estimates (N,), each after a contact of a run."""
 
-    p: Floats
-    radius_mm: Floats
-    error_mm: Floats  # nan: the object is another one than the filter assumes
     contact: Index  # counted from 1
 
     def __len__(self) -> int:
         return len(self.p)
-
-    @property
-    def found(self) -> Bools:
-        return integrity.is_found(self.error_mm)
-
-    @property
-    def sure(self) -> Bools:
-        return integrity.is_sure(self.p)
-
-    @property
-    def misleading(self) -> Bools:
-        return integrity.is_misleading(self.p, self.error_mm, self.radius_mm)
 
     @property
     def of_object(self) -> Bools:
@@ -97,12 +81,6 @@ def kept(given: Promises) -> dict[str, Any]:
         **{f"found_and_sure_{k}": _rate((found & sure)[mine]) for k, mine in after.items()},
         **{f"misleading_{k}": _rate(misleading[mine]) for k, mine in after.items()},
     }
-
-
-def share(name: str, rule: Bools, end: str = "") -> dict[str, Any]:
-    """How many of all obey a rule (N,), with the Wilson interval; None without any."""
-    interval = rounded(of_count(int(rule.sum()), len(rule))) if len(rule) else None
-    return {f"{name}{end}": _rate(rule), f"{name}_ci": interval}
 
 
 def _rate(rule: Bools) -> float | None:

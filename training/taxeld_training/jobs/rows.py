@@ -19,17 +19,12 @@ EXACT = "exact"  # `proposal` of the exact posterior's rows
 DISTANCES = "distances"  # distances of each reading, for intervals and paired tests
 
 Row = Mapping[str, Any]
-Spread = tuple[float, float, float]  # median, best, worst
 Cell = Callable[[list[Row]], str]  # rows of a table's line → the text of a cell
 
 FIGURES = {  # heading → key of a sampler's row, and the format of its mean over objects
     "ADD, mm": ("add_mm", "{:.1f}"),
     "in 90 % region": ("coverage_90", "{:.0%}"),
     "operations": ("flops", "{:.2g}"),
-    "ms": ("ms", "{:.2f}"),
-    "ms warm": ("ms_warm", "{:.2f}"),
-    "speed-up": ("speedup", "{:.0f} ×"),
-    "speed-up warm": ("speedup_warm", "{:.0f} ×"),
 }
 SHARES = {  # heading → key of a row of trials
     "found": "found_rate",
@@ -43,19 +38,15 @@ def number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-def spread_of(value: Any) -> Spread:
-    """A measure of a row: a number, or a map of its median, best and worst."""
-    if isinstance(value, Mapping):
-        return number(value["median"]), number(value["best"]), number(value["worst"])
-    return number(value), math.nan, math.nan
+def median_of(value: Any) -> float:
+    """A measure of a row: a number, or the median of a map of quantiles."""
+    return number(value["median"] if isinstance(value, Mapping) else value)
 
 
-def gap(row: Row) -> Spread:
+def gap(row: Row) -> float:
     """Distance to the exact posterior over the floor, that of two exact sets. In rows of earlier
     versions, whose distances are too large by a bias that is the floor's, this takes it off."""
-    median, best, worst = spread_of(row.get("energy_distance"))
-    floor = number(row.get("energy_floor"))
-    return median - floor, best - floor, worst - floor
+    return number(row.get("energy_distance")) - number(row.get("energy_floor"))
 
 
 def label(row: Row) -> str:
@@ -87,7 +78,7 @@ def condition(row: Row) -> str:
 
 def mean_of(rows: Sequence[Row], key: str) -> float:
     """Mean of a measure; nan where a row has none."""
-    return float(np.mean([spread_of(row.get(key))[0] for row in rows]))
+    return float(np.mean([median_of(row.get(key)) for row in rows]))
 
 
 def table(
@@ -100,6 +91,31 @@ def table(
     lines = [[*heads, *cells], ["---"] * (len(heads) + len(cells))]
     lines += [[*group, *(cell(of) for cell in cells.values())] for group, of in groups.items()]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def number_of(key: str) -> Cell:
+    """A cell with a figure of a line's only row; empty where it has none."""
+
+    def text(rows: list[Row]) -> str:
+        value = rows[0][key]
+        return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+    return text
+
+
+def share_of(key: str, interval: str = "") -> Cell:
+    """The same of a share, with its interval."""
+
+    def text(rows: list[Row]) -> str:
+        value: float | None = rows[0][key]
+        if value is None:
+            return ""
+        if not interval:
+            return f"{value:.1%}"
+        low, high = rows[0][interval]
+        return f"{value:.2%} ({100 * low:.2f} – {100 * high:.2f})"
+
+    return text
 
 
 def sampler_table(rows: Sequence[Row]) -> str:
@@ -115,8 +131,8 @@ def sampler_table(rows: Sequence[Row]) -> str:
         cells: dict[str, Cell] = {
             "objects": lambda each: str(len(each)),
             "energy distance": _distance,
-            "over the floor": lambda each: f"{np.mean([gap(row)[0] for row in each]):.4f}",
-            "worst object": lambda each: f"{max(gap(row)[0] for row in each):.4f}",
+            "over the floor": lambda each: f"{np.mean([gap(row) for row in each]):.4f}",
+            "worst object": lambda each: f"{max(gap(row) for row in each):.4f}",
         }
         for heading, (key, form) in FIGURES.items():
             if key in mine[0]:
@@ -146,14 +162,6 @@ def trial_table(rows: Sequence[Row]) -> str:
     )
 
 
-def distance_table(rows: Sequence[Row]) -> str:
-    """Samplers on touches of trials: a line an object and condition, a column a proposal; mean
-    distance to the exact posterior, and its median in brackets."""
-    names = dict.fromkeys(row["proposal"] for row in rows)
-    cells = {name: partial(_median, proposal=name) for name in names}
-    return table(rows, {"object": _object, "condition": condition}, cells)
-
-
 def _object(row: Row) -> str:
     return object_name(str(row["object"]))
 
@@ -170,12 +178,6 @@ def _distance(rows: Sequence[Row]) -> str:
         return text
     low, high = of_mean([row[DISTANCES] for row in rows], np.random.default_rng(0))
     return f"{text} ({low:.4f} – {high:.4f})"
-
-
-def _median(rows: Sequence[Row], proposal: str) -> str:
-    """Mean and median distance of one proposal."""
-    mine = [row for row in rows if row["proposal"] == proposal]
-    return ", ".join(f"{row['energy_distance']:.3f} ({row['median']:.3f})" for row in mine)
 
 
 def _p(rows: Sequence[Row], nearest: Sequence[Row]) -> str:

@@ -5,6 +5,7 @@ hard one costs both of them does not hide which is better.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,14 +38,19 @@ def of_median(values: ArrayLike, rng: np.random.Generator) -> Interval:
     return _ends([float(np.median(draw)) for draw in draws])
 
 
-def of_share(rule: Sequence[bool]) -> Interval:
-    """Interval of the share of trials that obey a rule (Wilson): not empty where none, or all,
-    do."""
-    return of_count(sum(map(bool, rule)), len(rule))
+def share(name: str, rule: ArrayLike, end: str = "") -> dict[str, Any]:
+    """How many of all obey a rule (n,), with the Wilson interval, as rows have it; None without
+    any."""
+    obeys = np.asarray(rule, dtype=np.bool_)
+    if not len(obeys):
+        return {f"{name}{end}": None, f"{name}_ci": None}
+    interval = rounded(of_count(int(obeys.sum()), len(obeys)))
+    return {f"{name}{end}": round(float(obeys.mean()), 4), f"{name}_ci": interval}
 
 
 def of_count(count: int, total: int) -> Interval:
-    """Interval of the share that `count` of `total` trials are."""
+    """Interval (Wilson) of the share that `count` of `total` trials are: not empty where none, or
+    all, are."""
     found = stats.binomtest(count, total).proportion_ci(LEVEL, "wilson")
     return float(found.low), float(found.high)
 

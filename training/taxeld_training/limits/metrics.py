@@ -12,7 +12,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model import se2
 from taxeld.model.scene import Scene
-from taxeld_training.jobs.statistics import of_median, of_share, rounded
+from taxeld_training.jobs.statistics import of_count, of_median, rounded
 from taxeld_training.limits.posterior import embed
 
 LEVEL = 0.9  # share of the samples in a credible region
@@ -38,7 +38,7 @@ def summary(
         },
         "add_mm_ci": rounded(of_median(adds, rng)),
         "coverage_90": float(inside.mean()),
-        "coverage_90_ci": rounded(of_share(inside.tolist())),
+        "coverage_90_ci": rounded(of_count(int(inside.sum()), len(inside))),
         "contacts": len(truth),
     }
 

@@ -1,7 +1,7 @@
 """A sampler's distance to the exact posterior and its cost, as bundle.json states them."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -37,7 +37,6 @@ class Reference:
     ess: Floats  # (n,) effective contacts behind the draws of each reading
     length_m: float
     left_out: int  # readings whose posteriors rest on too few contacts
-    bank: int
     ms: float  # CPU time of one exact posterior
 
     @property
@@ -62,38 +61,36 @@ class Reference:
 def reference(
     model: ObservationModel,
     noise: Noise,
-    readings: int | Sequence[tuple[Poses, Observation]],
+    readings: int,
     rng: np.random.Generator,
     *,
     bank: int = BANK,
     workers: int = 1,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Reference:
-    """Exact posteriors of a number of simulated readings, or of given ones, each with its true pose
-    (3,) in the sensor frame. Where the bank is too thin for one, contacts are made around it. Each
-    reading has a random generator of its own, so any number of `workers` (processes) makes the
-    same. `progress` is called with the stage and its share that is done."""
+    """Exact posteriors of a number of simulated readings. Where the bank is too thin for one,
+    contacts are made around it. Each reading has a random generator of its own, so any number of
+    `workers` (processes) makes the same. `progress` is called with the stage and its share that is
+    done."""
     contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
     exact = Posterior(model, contacts, noise, rng)
-    if isinstance(readings, int):
-        drawn = read(model, noise, readings, rng)
-        readings = list(zip(drawn.pose, drawn, strict=True))
+    drawn = read(model, noise, readings, rng)
     jobs = (
         joblib.delayed(_draws)(exact, seen, own)
-        for (_, seen), own in zip(readings, rng.spawn(len(readings)), strict=True)
+        for seen, own in zip(drawn, rng.spawn(readings), strict=True)
     )
     kept: list[tuple[Poses, Floats, Bools, Poses, float]] = []
     spent_s = 0.0
     made = joblib.Parallel(workers, return_as="generator", mmap_mode="c")(jobs)
-    for done, ((pose, seen), (draws, took_s)) in enumerate(zip(readings, made, strict=True)):
-        progress(EXACT_STAGE, done / len(readings))
+    for done, (pose, seen, (draws, took_s)) in enumerate(zip(drawn.pose, drawn, made, strict=True)):
+        progress(EXACT_STAGE, done / readings)
         spent_s += took_s
         if draws.ess >= LIMIT_ESS:
             kept.append((pose, seen.z, seen.live, draws.pose, draws.ess))
     progress(EXACT_STAGE, 1.0)
-    left_out, ms = len(readings) - len(kept), spent_s / len(readings) * 1e3
+    left_out, ms = readings - len(kept), spent_s / readings * 1e3
     truth, z, live, draws_of, ess = (np.array(each) for each in zip(*kept, strict=True))
-    return Reference(truth, z, live, draws_of, ess, model.scene.size, left_out, bank, ms)
+    return Reference(truth, z, live, draws_of, ess, model.scene.size, left_out, ms)
 
 
 def _draws(exact: "Posterior", seen: Observation, rng: np.random.Generator) -> tuple[Draws, float]:

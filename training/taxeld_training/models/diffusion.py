@@ -6,7 +6,6 @@ the model: pose coordinates (the paper's) or contact coordinates.
 """
 
 import math
-from enum import StrEnum
 
 import torch
 from torch import Tensor, nn
@@ -31,15 +30,6 @@ def cosine_alpha_bar(steps: int) -> Tensor:
     t = torch.linspace(0.0, 1.0, steps + 1, dtype=torch.float64)
     f = torch.cos((t + 0.008) / 1.008 * math.pi / 2.0) ** 2
     return (f[1:] / f[0]).clamp(min=1e-5)
-
-
-def noise_levels(total: int, steps: int) -> list[int]:
-    """The `steps` of `total` noise levels to visit, falling. They are denser towards clean data,
-    where the sharp coordinates (direction and depth of a touch) are determined."""
-    times = [round((total - 1) * (1.0 - i / (steps - 0.5)) ** 1.5) for i in range(steps)]
-    for i in reversed(range(steps - 1)):
-        times[i] = max(times[i], times[i + 1] + 1)
-    return times
 
 
 class Denoiser(Model):
@@ -109,62 +99,34 @@ class Denoiser(Model):
         return functional.mse_loss(self.run(noisy, context + self.time(t)), target)
 
 
-class Solver(StrEnum):
-    """How the reverse process is integrated."""
-
-    DDPM = "ddpm"  # ancestral, all T steps
-    DDIM = "ddim"  # Song et al. 2021, η = 0
-    DPM = "dpm"  # DPM-Solver++ 2M (Lu et al. 2022): second order, of the data prediction
-
-
 class DiffusionSampler(nn.Module):
-    """The whole reverse process as one graph, with its noise as an input."""
+    """The whole reverse process as one graph, with its noise as an input: ancestral, from the
+    noisiest of all T levels to the cleanest."""
 
-    time: Tensor  # (steps, 3 W) the denoiser's embeddings of the noise levels visited
+    family = "ddpm"
+    time: Tensor  # (T, 3 W) the denoiser's embeddings of the noise levels
 
-    def __init__(self, denoiser: Denoiser, solver: Solver, steps: int) -> None:
+    def __init__(self, denoiser: Denoiser) -> None:
         super().__init__()
-        total = denoiser.config.steps
-        if solver is Solver.DDPM and steps != total:
-            raise ValueError(f"ancestral sampling takes all {total} steps")
-        self.model, self.solver, self.steps = denoiser, solver, steps
-        self.family = str(solver)
+        self.model = denoiser
+        self.steps = self.noise_steps = denoiser.config.steps
         self.alpha_bar: list[float] = (
             denoiser.alpha_bar.tolist()
         )  # numbers, so that they are constants of the graph
-        self.times = noise_levels(total, steps)
-        self.noise_steps = steps if solver is Solver.DDPM else 1
-        self.register_buffer("time", denoiser.time.weight.detach()[self.times].clone())
+        self.register_buffer("time", denoiser.time.weight.detach().clone())
 
     def forward(self, z: Tensor, live: Tensor, noise: Tensor) -> Tensor:
-        """z, live (1, M), noise (noise_steps, S, 4) → poses (S, 4): x, y, cos θ, sin θ."""
+        """z, live (1, M), noise (T, S, 4) → poses (S, 4): x, y, cos θ, sin θ."""
         net = self.model
         code, angle = net.encode(z, live)
         context = net.context(code)
-        x, last = noise[0], None
-        for i, t in enumerate(self.times):
-            now = self.alpha_bar[t]
-            before = self.alpha_bar[self.times[i + 1]] if i + 1 < self.steps else 1.0
-            v = net.run(x, context + self.time[i])
+        x = noise[0]
+        for t in reversed(range(self.steps)):
+            now, before = self.alpha_bar[t], self.alpha_bar[t - 1] if t else 1.0
+            v = net.run(x, context + self.time[t])
             clean = (math.sqrt(now) * x - math.sqrt(1.0 - now) * v).clamp(-4.0, 4.0)
-            if self.solver is Solver.DDPM:
-                x = _ancestral(x, clean, now, before, noise[i + 1] if before < 1.0 else None)
-            else:
-                ahead = clean
-                if self.solver is Solver.DPM and last is not None and before < 1.0:
-                    ahead = clean + self._curvature(i) * (clean - last)
-                epsilon = (x - math.sqrt(now) * ahead) / math.sqrt(1.0 - now)
-                x = math.sqrt(before) * ahead + math.sqrt(1.0 - before) * epsilon
-                last = clean
+            x = _ancestral(x, clean, now, before, noise[self.steps - t] if t else None)
         return net.poses(x, angle)
-
-    def _curvature(self, i: int) -> float:
-        """1 / 2r of DPM-Solver++ 2M at step i, from the lengths of its steps in log-SNR."""
-        half_log_snr = [
-            0.5 * math.log(self.alpha_bar[t] / (1.0 - self.alpha_bar[t])) for t in self.times
-        ]
-        step = half_log_snr[i + 1] - half_log_snr[i]
-        return 0.5 * step / (half_log_snr[i] - half_log_snr[i - 1])
 
 
 def _ancestral(x: Tensor, clean: Tensor, now: float, before: float, noise: Tensor | None) -> Tensor:

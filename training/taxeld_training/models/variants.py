@@ -11,7 +11,7 @@ from taxeld_training.models import views
 from taxeld_training.models.base import AnyFrame, AnyView, Model, NetworkConfig
 from taxeld_training.models.dataset import SimulatedTouches
 from taxeld_training.models.density import ContactDensity
-from taxeld_training.models.diffusion import Denoiser, DiffusionSampler, Solver
+from taxeld_training.models.diffusion import Denoiser, DiffusionSampler
 from taxeld_training.models.export import AnySampler
 from taxeld_training.models.frames import ContactFrame, PoseFrame
 from taxeld_training.models.train import TrainConfig, shared, train_beside
@@ -26,7 +26,6 @@ class Variant:
     training: TrainConfig
     view: str = "best"  # best | plain
     frame: str = "contact"  # contact | pose
-    samplers: tuple[tuple[Solver, int], ...] = ()  # solvers and steps of a diffusion
 
     @property
     def kind(self) -> str:
@@ -35,7 +34,7 @@ class Variant:
 
     def describe(self) -> dict[str, Any]:
         """For a file's metadata: what the trained model depends on."""
-        return {key: value for key, value in asdict(self).items() if key != "samplers"}
+        return asdict(self)
 
 
 def density(width: int = 64, encoder_width: int = 256, encoder_depth: int = 5) -> Variant:
@@ -44,12 +43,9 @@ def density(width: int = 64, encoder_width: int = 256, encoder_depth: int = 5) -
     return Variant("density", network, TrainConfig(updates=12_000))
 
 
-def diffusion(
-    width: int = 128, samplers: tuple[tuple[Solver, int], ...] = ((Solver.DDPM, 100),)
-) -> Variant:
-    """A diffusion in contact coordinates, run by solvers of any number of steps."""
-    training = TrainConfig(updates=10_000)
-    return Variant("diffusion", NetworkConfig(width, 160), training, samplers=samplers)
+def diffusion() -> Variant:
+    """A diffusion in contact coordinates."""
+    return Variant("diffusion", NetworkConfig(128, 160), TrainConfig(updates=10_000))
 
 
 def paper() -> Variant:
@@ -61,22 +57,11 @@ def paper() -> Variant:
         TrainConfig(contacts=10_000),
         view="plain",
         frame="pose",
-        samplers=((Solver.DDPM, 100),),
     )
 
 
 MODELS: dict[str, Variant] = {  # the models that experiments compare
     "density-64": density(64),
-    "density-16": density(16, 48, 2),
-    "diffusion-128": diffusion(
-        samplers=(
-            (Solver.DPM, 4),
-            (Solver.DPM, 10),
-            (Solver.DDIM, 10),
-            (Solver.DPM, 20),
-            (Solver.DDPM, 100),
-        )
-    ),
     "paper": paper(),
 }
 
@@ -126,15 +111,12 @@ def fit_beside(
     return [done[k] for k in range(len(given))]
 
 
-def samplers(variant: Variant, trained: Model) -> dict[str, AnySampler]:
-    """The samplers that run the trained model, by name."""
+def sampler_of(trained: Model) -> AnySampler:
+    """The sampler that runs a trained model."""
     if isinstance(trained, Denoiser):
-        return {
-            f"{solver}-{steps}": DiffusionSampler(trained, solver, steps)
-            for solver, steps in variant.samplers
-        }
+        return DiffusionSampler(trained)
     assert isinstance(trained, ContactDensity)  # noqa: S101
-    return {f"{variant.family}-{variant.network.width}": trained}
+    return trained
 
 
 def untrained(variant: Variant, model: ObservationModel) -> Model:

@@ -69,9 +69,9 @@ def make(
         workers=given.workers,
         progress=progress,
     )
-    samplers: list[dict[str, Any]] = []
+    samplers = []
     for done, (variant, network) in enumerate(zip(given.variants, networks, strict=True), 1):
-        samplers += _samplers(variant, network, given, model, folder, to)
+        samplers.append(_exported(variant, network, given, model, folder, to))
         progress(MEASURING, done / (len(networks) + 1))
     analytic = {name: _measured(make(model), to, given.seed) for name, make in ANALYTIC.items()}
     progress(MEASURING, 1.0)
@@ -128,36 +128,33 @@ def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str,
     return {"order": [first, *rest], "why": why}
 
 
-def _samplers(
+def _exported(
     variant: Variant,
     network: Model,
     given: Candidates,
     model: ObservationModel,
     folder: Path,
     to: quality.Reference,
-) -> list[dict[str, Any]]:
-    """Export the samplers of a trained model into `folder`, measure and describe each."""
+) -> dict[str, Any]:
+    """Export the sampler of a trained model into `folder`, measure and describe it."""
     metadata = variant.describe() | {
         "noise": asdict(given.noise),
         "layout": model.layout.digest,
         "normalisation": {k: getattr(network, k).tolist() for k in ("mean", "scale")},
     }
-    found = []
-    for name, sampler in variants.samplers(variant, network).items():
-        path = folder / f"{name}.onnx"
-        export.export(sampler, len(model.layout), path, metadata)
-        found.append(
-            {
-                "name": name,
-                "kind": variant.kind,
-                "file": path.name,
-                "steps": sampler.steps,
-                "width": network.config.width,
-                "flops": export.flops(sampler, quality.SAMPLES),
-                **_measured(Sampler.read(path, model.layout, variant.kind), to, given.seed),
-            }
-        )
-    return found
+    sampler = variants.sampler_of(network)
+    size = sampler.steps if variant.family == "diffusion" else network.config.width
+    path = folder / f"{sampler.family}-{size}.onnx"
+    export.export(sampler, len(model.layout), path, metadata)
+    return {
+        "name": path.stem,
+        "kind": variant.kind,
+        "file": path.name,
+        "steps": sampler.steps,
+        "width": network.config.width,
+        "flops": export.flops(sampler, quality.SAMPLES),
+        **_measured(Sampler.read(path, model.layout, variant.kind), to, given.seed),
+    }
 
 
 def _measured(proposal: Proposal, to: quality.Reference, seed: int) -> dict[str, Any]:

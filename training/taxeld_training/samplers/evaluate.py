@@ -5,30 +5,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from taxeld.errors import SetupError
 from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.objects import meshes
-from taxeld_training.jobs.options import Options, run_jobs, with_file, write
+from taxeld_training.jobs.options import Options, check, run_jobs, with_file, write
 from taxeld_training.jobs.rows import sampler_table
 from taxeld_training.objects.setting import OBJECTS, ring
 from taxeld_training.samplers import measured, trained
-from taxeld_training.samplers.measured import ALL_ANALYTIC, GROUPS, LEARNED, Measurement
+from taxeld_training.samplers.measured import GROUPS, LEARNED, Measurement
 
-PROPOSALS_GROUPS = (ALL_ANALYTIC, "density-64", "paper")
 PROPOSALS_COLUMNS = (8, 16, 32, 64)  # columns of the paper's skins, 5 rows each
 
 
 def proposals(options: Options) -> list[Path]:
     """The paper's Fig. 2: errors of samples by object and resolution."""
-    from taxeld_training.charts import sampler_charts  # noqa: PLC0415  # matplotlib is not needed to train
-
     cells = settings(options, PROPOSALS_COLUMNS)
-    found = rows(cells, options.groups or PROPOSALS_GROUPS, options)
-    data = write(options, f"proposals{_of_skin(options)}", found, sampler_table(found))
-    pictures = [data.with_suffix(".png"), data.with_name(f"{data.stem}_posterior.png")]
-    sampler_charts.proposals(found, pictures[0])
-    sampler_charts.posterior_gap(found, pictures[1])
-    return [data, *pictures]
+    found = rows(cells, options.groups or GROUPS, options)
+    return [write(options, f"proposals{_of_skin(options)}", found, sampler_table(found))]
 
 
 def settings(options: Options, columns: Sequence[int]) -> list[Measurement]:
@@ -59,9 +51,7 @@ def rows(
     Raises:
         SetupError: no such group or object.
     """
-    for group in groups:
-        if group not in GROUPS:
-            raise SetupError(f"--groups: no '{group}'; there are {', '.join(GROUPS)}")
+    check("--groups", groups, GROUPS)
     for mesh in {cell.object for cell in cells}:
         meshes.find(mesh)
     exact = {
@@ -73,21 +63,17 @@ def rows(
         for cell in cells
     }
     references = run_jobs(list(exact.values()), options)
-    wanted = {
+    wanted = [
         (cell.place, LEARNED[group]) for cell in cells for group in groups if group in LEARNED
-    }
+    ]
     files = trained.files(wanted, options)
     todo = [
-        Job(
-            f"{cell.name}-{group}",
-            measured.measure,
-            (cell, group),
-            (*exact[cell].beside, files.get((cell.place, LEARNED.get(group, "")))),
-        )
+        Job(f"{cell.name}-{group}", measured.measure, (cell, group), (*exact[cell].beside, file))
         for cell in cells
         if references[exact[cell].name] is not None
         for group in groups
-        if group not in LEARNED or (cell.place, LEARNED[group]) in files
+        for file in [files.get((cell.place, LEARNED[group])) if group in LEARNED else ""]
+        if file is not None
     ]
     done = run_jobs(todo, options)
     return [row for job in todo for row in done[job.name] or []]

@@ -1,7 +1,7 @@
 """Measurements of samplers on an object and a skin, against the exact posterior.
 
 Samplers come in groups: the analytic proposals, or one trained model. Each group is a job of its
-own; the jobs share the exact posteriors through a file.
+own; the jobs share the exact posteriors through a file, and models are trained before.
 """
 
 from collections.abc import Iterator
@@ -10,31 +10,27 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
-from taxeld.arrays import Bools, Floats, Poses
+from taxeld.arrays import Floats
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
-from taxeld.proposals.analytic import ANALYTIC, Table
+from taxeld.proposals.analytic import ANALYTIC
 from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.jobs.statistics import of_mean, rounded
 from taxeld_training.limits import metrics, quality
 from taxeld_training.models import variants
-from taxeld_training.models.dataset import IN_USE, read, simulate
-from taxeld_training.models.export import AnySampler, flops
+from taxeld_training.models.dataset import IN_USE, read
+from taxeld_training.models.export import flops
 from taxeld_training.models.variants import MODELS
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 
-ALL_ANALYTIC, LARGE_TABLE = (
-    "analytic",
-    "table-1e5",
-)  # the second is a table of ten times the contacts
-GROUPS = (ALL_ANALYTIC, LARGE_TABLE, *MODELS)
-LEARNED = {  # groups of models that are trained once for all experiments
+ALL_ANALYTIC = "analytic"
+LEARNED = {  # groups of trained models
     "density-64": trained.DENSITY,
     "paper": trained.PAPER,
 }
+GROUPS = (ALL_ANALYTIC, *LEARNED)
 MANY_STEPS = 50  # a sampler of more steps is measured on fewer contacts
 
 
@@ -63,26 +59,6 @@ class Tried(NamedTuple):
     flops: int | None = None
 
 
-class Eager:
-    """A trained model as a proposal run by torch, without an ONNX file."""
-
-    def __init__(self, trained: AnySampler) -> None:
-        self.name = trained.family
-        self._trained = trained.eval()
-
-    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
-        """(n, 3) poses for a reading z (M,) of the taxels that are `live` (M,)."""
-        noise = rng.standard_normal((self._trained.noise_steps, n, 4), dtype=np.float32)
-        with torch.no_grad():
-            four = self._trained(
-                torch.from_numpy(z).float()[None],
-                torch.from_numpy(live).float()[None],
-                torch.from_numpy(noise),
-            )
-        x, y, c, s = four.double().numpy().T
-        return np.column_stack([x, y, np.arctan2(s, c)])
-
-
 def make_reference(setting: Measurement, path: str) -> dict[str, float]:
     """Write the exact posteriors to `path` for the other jobs; → figures about them."""
     rng = np.random.default_rng(setting.seed + 1)
@@ -91,11 +67,9 @@ def make_reference(setting: Measurement, path: str) -> dict[str, float]:
     return {"floor": to.floor, "error": to.error, "left_out": to.left_out, "ms": to.ms}
 
 
-def measure(
-    setting: Measurement, group: str, reference: str, file: str | None = None
-) -> list[dict[str, Any]]:
-    """Rows of all samplers of a group. A model is trained here, or taken from a `file`, "" for one
-    that ships."""
+def measure(setting: Measurement, group: str, reference: str, file: str) -> list[dict[str, Any]]:
+    """Rows of all samplers of a group; a trained model is taken from a `file`, "" for one that
+    ships."""
     model = setting.model()
     to = quality.load(Path(reference))
     rng = np.random.default_rng(setting.seed + 2)
@@ -142,34 +116,15 @@ def _row(
 
 
 def _samplers(
-    setting: Measurement, group: str, model: ObservationModel, file: str | None
+    setting: Measurement, group: str, model: ObservationModel, file: str
 ) -> Iterator[Tried]:
-    if group not in MODELS:
-        yield from untrained(group, model)
-    elif file is not None:
-        network = variants.untrained(MODELS[group], model)
-        (known,) = variants.samplers(MODELS[group], network).values()
-        yield learned(group, known, trained.proposal_of(LEARNED[group], setting.place, file))
-    else:
-        variant = variants.trained_with(MODELS[group], setting.updates)
-        rng = np.random.default_rng(setting.seed)
-        touches = simulate(model, variant.training.contacts, rng)
-        network = variants.fit(variant, model, IN_USE, touches)
-        for sampler in variants.samplers(variant, network).values():
-            yield learned(group, sampler, Eager(sampler))
-
-
-def untrained(group: str, model: ObservationModel) -> Iterator[Tried]:
-    """The samplers of a group that learns nothing."""
-    if group == LARGE_TABLE:
-        yield Tried(group, Table(model, 100_000))
-    else:
+    if group == ALL_ANALYTIC:
         for name, make in ANALYTIC.items():
             yield Tried(name, make(model))
-
-
-def learned(group: str, known: AnySampler, sampler: Proposal) -> Tried:
-    """`sampler` of a model's group, whose steps and sizes `known` has."""
+        return
+    variant = MODELS[group]
+    known = variants.sampler_of(variants.untrained(variant, model))
+    sampler = trained.proposal_of(LEARNED[group], setting.place, file)
     name = "paper" if group == "paper" else known.family
     work = flops(known, quality.SAMPLES)
-    return Tried(name, sampler, known.steps, MODELS[group].network.width, work)
+    yield Tried(name, sampler, known.steps, variant.network.width, work)

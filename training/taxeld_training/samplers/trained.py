@@ -51,18 +51,6 @@ def shipped(setting: Setting) -> bundle.Bundle | None:
     return None
 
 
-def shipped_with(setting: Setting) -> bundle.Bundle:
-    """The bundle of the setting's object and skin.
-
-    Raises:
-        SetupError: none is shipped.
-    """
-    found = shipped(setting)
-    if found is None:
-        raise SetupError(f"{setting.object}: no bundle of it is shipped for this skin")
-    return found
-
-
 @lru_cache(maxsize=32)
 def model_of(setting: Setting) -> ObservationModel:
     """The model of a setting, the same instance each time: models are compared by identity."""
@@ -82,7 +70,10 @@ def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
         return ANALYTIC[name](model)
     if is_learned(name, setting):
         return Sampler.read(Path(file), model.layout, LEARNED[name].kind)
-    return shipped_with(setting).proposal(name)
+    found = shipped(setting)
+    if found is None:
+        raise SetupError(f"{setting.object}: no bundle of it is shipped for this skin")
+    return found.proposal(name)
 
 
 def files(wanted: Iterable[Wanted], options: Options) -> dict[Wanted, str]:
@@ -112,7 +103,7 @@ def train(setting: Setting, given: Variant, file: str) -> dict[str, float]:
     variant = variants.trained_with(given, setting.updates, seed=setting.seed)
     touches = simulate(model, variant.training.contacts, np.random.default_rng(setting.seed))
     network = variants.fit(variant, model, IN_USE, touches)
-    (sampler,) = variants.samplers(variant, network).values()
+    sampler = variants.sampler_of(network)
     part = Path(file).with_suffix(".part")
     gap = export.export(sampler, len(model.layout), part, variant.describe())
     part.replace(file)

@@ -1,0 +1,216 @@
+"""What a run publishes: each result of its pipeline, and by the clock what is due without one."""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from taxeld.advice.advice import Advice
+from taxeld.arrays import Poses
+from taxeld.estimator.estimate import Estimate
+from taxeld.model.activation import Activation
+from taxeld.pipeline.freshness import Why
+from taxeld.pipeline.outcome import Outcome
+from taxeld.proposals import several
+from taxeld.service.inputs import Inputs
+from taxeld.service.latency import Latencies
+from taxeld.service.notices import Notices
+from taxeld.service.prepare import Prepared
+from taxeld.skin.patches import Patches
+from taxeld.stream import messages
+from taxeld.stream.link import Link
+
+PARTICLES_HZ = 20.0
+ADVICE_S = 0.2  # time between two messages of the same advice
+HEALTH_S = 1.0
+
+
+@dataclass(slots=True)
+class LoopCounters:
+    """Counters of the loop, since start."""
+
+    ticks: int = 0  # passes of the loop
+    overruns: int = 0  # periods that passed while the loop worked, or while the machine held it up
+    own_overruns: int = 0  # passes whose own CPU time was longer than a period
+    scans: int = 0
+
+
+class Publisher:
+    """Sends messages to subscribers, answers `status` and logs what has changed."""
+
+    def __init__(self, made: Prepared, inputs: Inputs, link: Link, counters: LoopCounters) -> None:
+        self.latencies = Latencies(messages.STAGES)
+        self.seq = 0  # number of the last estimate
+        config = made.config
+        self.estimate_s = 1.0 / config.publish.rate_hz if made.bundles else HEALTH_S
+        self._config, self._pipeline, self._link = config, made.pipeline, link
+        self._inputs, self._counters = inputs, counters
+        self._has_object = bool(made.bundles)
+        self._names = tuple(several.scenes(made.bundles))
+        self._patches = [
+            Patches(layout, one.skin.full_scale_depth_m)
+            for one, layout in zip(config.each, made.layouts, strict=True)
+        ]
+        proposal = made.pipeline.ladder.name if made.bundles else ""
+        self._notices = Notices(self._names, proposal, [one.path for one in made.bundles])
+        self._publish_us = 0.0  # time of sending the last estimate [µs]
+        self._next_particles_s = self._next_estimate_s = self._next_health_s = 0.0
+        self._next_advice_s = 0.0
+        self._advised: Advice | None = None  # the advice published last
+        self._told: Estimate | None = None  # the estimate published last
+        self._why = Why.STARTING  # why that one is not valid
+        self._estimate_sent: dict[str, Any] = {}
+        self._health_sent: dict[str, Any] = {}
+
+    def ready(self) -> None:
+        """Log that all is open and warm."""
+        layout = self._pipeline.skin.layout
+        self._notices.ready(self._config, layout, self._inputs.source.waits_for)
+
+    def outcome(self, outcome: Outcome, source_us: float, start_ns: int, now_s: float) -> int:
+        """Publish the outcome of a scan, on which work began at `start_ns`; → the time now, on
+        `perf_counter_ns` as well."""
+        begin_ns = time.perf_counter_ns()
+        # time of the publication before this one, which is not over yet
+        publish_us = self._publish_us
+        total_us = (begin_ns - start_ns) / 1000.0 + publish_us
+        lat_us = _stages_us(outcome) | {
+            "source": source_us,
+            "publish": publish_us,
+            "total": total_us,
+        }
+        is_used = outcome.is_used and self._has_object
+        if is_used or self._is_news(outcome.estimate):
+            self._send_estimate(lat_us, now_s)
+        is_read = self._pipeline.freshness.links[outcome.link].last is not Why.SCANS_MISTIMED
+        if self._config.publish.counts and is_read and self._link.wants(messages.COUNTS):
+            t, raw = outcome.estimate.t, self._pipeline.stages[outcome.link].skin.counts
+            told = messages.counts(t, raw, self.seq, outcome.link)
+            self._link.send(messages.COUNTS, told, t)
+        if outcome.activation is not None:
+            self._send_activation(outcome.activation, outcome.sensor, now_s, outcome.link)
+        self.latencies.add(lat_us)
+        end_ns = time.perf_counter_ns()
+        self._publish_us = (end_ns - begin_ns) / 1000.0
+        return end_ns
+
+    def thought(self, outcome: Outcome, now_s: float) -> None:
+        """Publish the estimate again, which a second opinion has improved."""
+        self._send_estimate(_stages_us(outcome), now_s)
+
+    def due(self, now_s: float) -> bool:
+        """Publish without a scan: an estimate whose status has changed or whose time has come, and
+        advice; → whether health is due as well."""
+        if self._is_news(self._estimate(now_s)) or now_s >= self._next_estimate_s:
+            self._send_estimate(dict.fromkeys(messages.STAGES, 0.0), now_s)
+        self._send_advice(now_s)
+        return now_s >= self._next_health_s
+
+    def health(self, health: dict[str, Any], now_s: float) -> None:
+        """Publish the message of a second, and log what has changed."""
+        self._next_health_s = now_s + HEALTH_S
+        self._health_sent = health
+        self._link.send(messages.HEALTH, health, health["t"])
+        for k, stage in enumerate(self._pipeline.stages):
+            fault = "" if k else self._inputs.watch.fault
+            name, match = self._config.names[k], stage.fresh.is_whole
+            self._notices.inputs(fault, stage.skin.wiring, match=match, link=name)
+        whys = self._pipeline.freshness.of_links(now_s)
+        self._notices.links(dict(zip(self._config.names, whys, strict=True)))
+        self._link.tell(self._state())
+
+    def status_line(self, now_s: float) -> str:
+        """For the service manager."""
+        if all(source.waits_for for source in self._inputs.sources):
+            return f"waiting, {self._inputs.source.waits_for}"
+        estimate = self._estimate(now_s)
+        sure = "not valid" if self._why else f"p {estimate.p:.1%}"
+        line = f"{estimate.status.name.lower()}, {sure}"
+        return f"{line}, contacts {estimate.contacts}, overruns {self._counters.overruns}"
+
+    def state(self) -> dict[str, Any]:
+        """The estimate and health published last, and the rest of the answer to `status`."""
+        return {"estimate": self._estimate_sent, "health": self._health_sent, **self._state()}
+
+    def _state(self) -> dict[str, Any]:
+        """The part of the answer to `status` that no message has."""
+        sensor_pose = {
+            "endpoint": self._config.sensor_pose.endpoint,
+            "topics": self._link.report.robot.topics,
+            "fault": self._inputs.watch.fault,
+        }
+        waits_for, why = self._inputs.waits_for, self._reason()
+        return {"waits_for": waits_for, "why": why, "sensor_pose": sensor_pose}
+
+    def _reason(self) -> str:
+        """Why the estimate published last is not valid, and the cure; empty where it is."""
+        facts = {Why.NO_SCAN: self._inputs.waits_for, Why.NO_POSE: self._inputs.watch.fault}
+        estimate, fact = self._told or self._pipeline.estimate, facts.get(self._why, "")
+        return self._pipeline.freshness.sentence(self._why, estimate, fact)
+
+    def _estimate(self, now_s: float) -> Estimate:
+        """The estimate as published at the time `now_s`."""
+        return self._pipeline.freshness.judged(self._pipeline.estimate, now_s)
+
+    def _is_news(self, estimate: Estimate) -> bool:
+        told = self._told
+        if told is None or told.status is not estimate.status:
+            return True
+        return told.t != estimate.t and self._has_object
+
+    def _send_estimate(self, lat_us: dict[str, float], now_s: float) -> None:
+        self.seq += 1
+        wall_s, freshness, estimate = time.time(), self._pipeline.freshness, self._estimate(now_s)
+        self._told, self._next_estimate_s = estimate, now_s + self.estimate_s
+        before, self._why = self._why, freshness.why(estimate, now_s)
+        if self._why is not before:
+            self._link.tell(self._state())
+        self._notices.estimate(estimate, self._why, self._reason())
+        self._estimate_sent = messages.estimate(
+            estimate,
+            names=self._names,
+            seq=self.seq,
+            why=self._why,
+            mono_ns=time.monotonic_ns(),
+            age_us=(wall_s - estimate.t) * 1e6 if estimate.t else 0.0,
+            overruns=self._counters.overruns,
+            degraded=int(self._pipeline.ladder.step),
+            lat_us=lat_us,
+            links=freshness.of_links(now_s),
+        )
+        self._link.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
+
+    def _send_activation(
+        self, activation: Activation, sensor: Poses | None, now_s: float, number: int
+    ) -> None:
+        t, link = activation.t, self._link
+        if link.wants(messages.TAXELS):
+            link.send(messages.TAXELS, messages.taxels(activation, sensor, self.seq, number), t)
+        patches, skin = self._patches[number], self._pipeline.stages[number].skin
+        if link.wants(messages.CONTACTS) and (skin.touched or patches.now):
+            patches.on_scan(activation.z)
+            told = messages.contacts(t, patches, sensor, self.seq, number)
+            link.send(messages.CONTACTS, told, t)
+        due = self._pipeline.estimate.contact and now_s >= self._next_particles_s
+        if due and self._has_object and link.wants(messages.PARTICLES):
+            self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
+            belief = self._pipeline.estimator.rule.belief
+            cloud = messages.particles(t, self.seq, belief.pose, belief.weight)
+            link.send(messages.PARTICLES, cloud, t)
+
+    def _send_advice(self, now_s: float) -> None:
+        """Publish new advice, and from time to time again as long as it holds."""
+        advice, t = self._pipeline.advice, self._pipeline.estimate.t
+        is_due = advice is not self._advised or now_s >= self._next_advice_s
+        if advice is not None and is_due and self._link.wants(messages.ADVICE):
+            self._advised, self._next_advice_s = advice, now_s + ADVICE_S
+            told = messages.advice(advice, t, self.seq, self._config.names)
+            self._link.send(messages.ADVICE, told, t)
+
+
+def _stages_us(outcome: Outcome) -> dict[str, float]:
+    """The time of each stage of the work on an outcome, the others 0."""
+    return dict.fromkeys(messages.STAGES, 0.0) | {
+        "skin": outcome.skin_ns / 1000.0,
+        "propose": outcome.propose_ns / 1000.0,
+        "filter": outcome.filter_ns / 1000.0,
+    }

@@ -1,0 +1,49 @@
+"""Options that the measurements of the harness and of the training share."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from taxeld.errors import SetupError
+from taxeld_hil.jobs import layout_name
+
+OWN = "own"  # `--layout` of what a row is of without that option
+
+
+def add_layouts(made: argparse.ArgumentParser, own: str) -> argparse.Action:
+    """Add the option `--layout`, which makes rows for each layout that it names."""
+    about = f"make rows for it, as skin.layout; may be repeated; '{OWN}': {own} (the default)"
+    return made.add_argument("--layout", action="append", metavar="LAYOUT", help=about)
+
+
+def layouts(given: Sequence[str] | None) -> list[str]:
+    """The layouts that `--layout` named, "" for OWN. A file that is absent is left out, with a line
+    on stderr.
+
+    Raises:
+        SetupError: none is left, or rows of two could not be told apart.
+    """
+    found: dict[str, str] = {}
+    for spec in given or [OWN]:
+        if spec == OWN or ":" in spec:
+            kept = "" if spec == OWN else spec
+        elif Path(spec).is_file():
+            kept = str(Path(spec).resolve())
+        else:
+            sys.stderr.write(f"--layout: there is no file {spec}: its rows are left out\n")
+            continue
+        if found.setdefault(layout_name(kept), kept) != kept:
+            raise SetupError(f"--layout: two are called {layout_name(kept)}; rename a file")
+    if not found:
+        raise SetupError("--layout: none of these files is there; name others, or none")
+    return list(found.values())
+
+
+def add_jobs(made: argparse.ArgumentParser) -> None:
+    """Add the options of `jobs.run`."""
+    add = made.add_argument
+    add("--workers", type=int, default=2, help="jobs at a time, one thread each")
+    add("--dask", default="", metavar="ADDRESS", help="a running Dask scheduler")
+    about = "finished jobs; what was interrupted goes on from them (default %(default)s)"
+    add("--memory", type=Path, default=Path(".experiments"), metavar="DIR", help=about)

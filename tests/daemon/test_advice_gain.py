@@ -1,0 +1,175 @@
+"""Advised touches tell more than others: of a round body of which only a handle tells how it is
+turned, the handle is to be met, by a link whose skin feels it."""
+
+from collections.abc import Generator, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taxeld.advice import hypotheses, lines
+from taxeld.advice.advice import Advice, Advisor, Approach
+from taxeld.advice.hypotheses import Guesses
+from taxeld.advice.lines import Lines
+from taxeld.advice.outcomes import MISS_M, Outcomes
+from taxeld.arrays import Bools, Poses
+from taxeld.config.tables import AdviceConfig, FilterConfig
+from taxeld.estimator import particles as pf
+from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.mixture import Mixture
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
+from taxeld.model.observation import ObservationModel
+from tests.rig.pressed_box import TRUTH, World
+from tests.rig.scenes import DEPTH_MAX_M, box, disc, scene_of
+
+from .test_advice import follow
+
+BODY_M, HANDLE_M = 0.04, 0.075  # radius of the body; how far the handle reaches from its middle
+TURNED = se2.compose(TRUTH, np.array([0.0, 0.0, np.pi]))  # the handle is on the other side
+OTHERS = 8  # approaches that were not advised
+
+
+class NoSamples:
+    """A proposal without samples: all that is learned is what a belief made by hand is left."""
+
+    name = "table"
+
+    def propose(self, z: np.ndarray, live: np.ndarray, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
+        return np.empty((0, 3))
+
+
+def handled(skin: Layout, *further: Layout) -> ObservationModel:
+    """A body and a handle beside it, which is no part of its outline, as a mug's is not."""
+    body, handle = disc(BODY_M), box(0.01, 0.012)
+    angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    ring = BODY_M * np.column_stack([np.cos(angle), np.sin(angle)])
+
+    def of(layout: Layout) -> ObservationModel:
+        scene = scene_of(
+            lambda x, y: np.minimum(body(x, y), handle(x - HANDLE_M + 0.01, y)), layout, symmetry=1
+        )
+        return ObservationModel(replace(scene, outline=ring), layout, DEPTH_MAX_M)
+
+    links = [of(each) for each in further]
+    first = of(skin)
+    return ObservationModel(first.scene, skin, DEPTH_MAX_M, links)
+
+
+def torn(model: ObservationModel) -> Estimator:
+    """A belief in TRUTH and TURNED alike, and in little beside them."""
+    subject = Estimator(
+        model, NoSamples(), FilterConfig(), beside=[NoSamples()] * (len(model.links) - 1)
+    )
+    rule, n = subject.rule, subject.config.particles
+    assert isinstance(rule, Mixture)
+    off = np.random.default_rng(0).standard_normal((n, 3)) * (0.001, 0.001, 0.01)
+    pose = off + np.where((np.arange(n) % 2 == 0)[:, None], TRUTH, TURNED)
+    rule.belief = pf.equal(pose, rule.memory.explain(pose))
+    return subject
+
+
+@pytest.fixture(autouse=True)
+def both(monkeypatch: pytest.MonkeyPatch) -> Guesses:
+    """What advice takes for possible: both, a little spread."""
+    off = np.random.default_rng(1).standard_normal((20, 3)) * (0.001, 0.001, 0.01)
+    pose = off + np.repeat([TRUTH, TURNED], 10, axis=0)
+    made = Guesses(pose, np.zeros(20, np.intp), np.full(20, 0.05), 0)
+
+    def drawn(*_: object) -> Generator[None, None, Guesses]:
+        yield
+        return made
+
+    monkeypatch.setattr(hypotheses, "drawn", drawn)
+    return made
+
+
+def asked(subject: Estimator, config: AdviceConfig) -> Advice:
+    advisor = Advisor(subject, config)
+    while not advisor.step():
+        pass
+    assert advisor.advice is not None
+    return advisor.advice
+
+
+def all_of(subject: Estimator, found: Guesses) -> Iterator[tuple[Lines, float, Approach]]:
+    """Every approach that advice chooses from, and the probability that it leaves one pose."""
+    advisor, outcomes = Advisor(subject, AdviceConfig()), Outcomes(subject, found)
+    free, ways = advisor.free(advisor.fan(found, 0), found)
+    for c in range(len(free)):
+        line = free.only(slice(c, c + 1))
+        told = outcomes.by_reading(line, ways[c], 0.003)
+        yield line, told.sure, advisor._approach(line, ways[c], found, told, 0.0)
+
+
+def share_right(model: ObservationModel, approach: Approach) -> float:
+    """The belief in TRUTH after an approach."""
+    subject, world = torn(model), World(model)
+    follow(world, subject, approach)
+    rule = subject.rule
+    return float(rule.belief.weight[rule.metric.distance(rule.belief.pose, TRUTH) < 0.01].sum())
+
+
+def test_an_advised_touch_tells_apart_what_most_others_leave_open(
+    skin: Layout, both: Guesses
+) -> None:
+    model = handled(skin)
+    subject = torn(model)
+    best = asked(subject, AdviceConfig()).approaches[0]
+    every = list(all_of(subject, both))
+    usual = float(np.mean([sure for _, sure, _ in every]))
+    assert best.p_sure > 0.95
+    assert best.p_sure > usual + 0.3
+    rng = np.random.default_rng(2)
+    others = [every[c][2] for c in rng.choice(len(every), OTHERS, replace=False).tolist()]
+    left = float(np.mean([share_right(model, one) for one in others]))
+    advised = share_right(model, best)
+    assert advised > 0.99
+    assert advised > left + 0.15
+
+
+def test_a_link_whose_skin_faces_away_is_not_advised_though_it_would_come_first(
+    skin: Layout,
+) -> None:
+    """Neither link may turn, and the handle is met from one side alone: by the back of the first
+    link, which feels nothing there, and by the second one's skin."""
+
+    def only(of: Bools) -> Layout:
+        return replace(
+            skin, uid=skin.uid[of], position_m=skin.position_m[of], normal=skin.normal[of]
+        )
+
+    right = skin.normal[:, 0] > 0.3
+    ahead = (float(np.degrees(TRUTH[2])) + 180.0,)  # onto the handle, from outside
+    config = AdviceConfig(directions_deg=ahead, yaw_deg=(0.0, 0.0))
+    for layouts, feels in (((right, ~right), 1), ((~right, right), 0)):
+        first, second = map(only, layouts)
+        model = handled(first, second)
+        best, *_ = asked(torn(model), config).approaches
+        assert best.link == feels
+        assert best.p_sure > 0.95
+        alone = handled((first, second)[1 - feels])
+        assert asked(torn(alone), config).approaches[0].p_sure < 0.5
+
+
+def test_a_link_stops_at_a_part_that_the_outline_leaves_out(skin: Layout) -> None:
+    model = handled(skin)
+    beyond_m = BODY_M + skin.radius_m + 0.005
+    ways = np.array([[HANDLE_M - 0.01, 0.3, -np.pi / 2], [-beyond_m, 0.3, -np.pi / 2]])
+    down = lines.Lines(0, ways, np.full(2, -np.pi / 2), np.full(2, 0.6))
+    handle, nothing = lines.travel(down, model, np.zeros((1, 3)))[:, 0]
+    assert handle == pytest.approx(0.3 - skin.radius_m - 0.012 + lines.FELT_M, abs=5e-4)
+    assert np.isinf(nothing)
+
+
+def test_a_press_that_no_live_taxel_feels_tells_nothing(skin: Layout, both: Guesses) -> None:
+    subject = torn(handled(skin))
+    line, _, _ = max(all_of(subject, both), key=lambda each: each[1])
+    outcomes = Outcomes(subject, both)
+    way = lines.travel(line, subject.model, both.pose)[0]
+    outcomes._like = [
+        replace(outcomes._like[0], live=np.zeros(len(skin), np.bool_)),
+    ]
+    told = outcomes.by_reading(line, way, 0.003)
+    assert told.sure == 0.0
+    assert told.cost_m == pytest.approx(outcomes.now_m + MISS_M)
