@@ -18,11 +18,11 @@ from tests.rig.processes import taxeld
 DEADLINE_S = 60.0
 
 
-@pytest.fixture(params=["path", "abstract"])
+@pytest.fixture
 def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[socket.socket]:
     """A service manager's socket, in the file system or in the abstract name space."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as bound:
-        abstract = request.param == "abstract"
+        abstract = getattr(request, "param", "path") == "abstract"
         bound.bind(f"\0taxeld-test-{os.getpid()}" if abstract else str(tmp_path / "notify"))
         bound.settimeout(DEADLINE_S)
         yield bound
@@ -51,6 +51,7 @@ def ticks(notifier: Notifier, seconds: float) -> None:
         clock.sleep(0.01)
 
 
+@pytest.mark.parametrize("manager", ["path", "abstract"], indirect=True)
 def test_a_manager_hears_ready_and_stopping(manager: socket.socket) -> None:
     notifier = Notifier(environ(manager))
     notifier.ready()

@@ -37,18 +37,18 @@ contacts = 4
 [[fault]]
 kind = "corrupted"
 at_s = 2.0
-for_s = 2.0
+for_s = 3.0
 [[fault]]
 kind = "unplugged"
-at_s = 4.0
-for_s = 1.0
+at_s = 6.0
+for_s = 2.0
 [[fault]]
 kind = "adapter_closed"
-at_s = 7.0
+at_s = 9.0
 for_s = 0.1
 [[fault]]
 kind = "daemon_killed"
-at_s = 11.0
+at_s = 12.0
 for_s = 0.5
 [expect]
 found = false
