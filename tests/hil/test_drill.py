@@ -66,8 +66,5 @@ def test_a_bundle_of_a_layout_file_asks_for_that_file(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match="built for a layout file, own: name it by --layout"):
         FakeRun(demo, seed=0)
     assert FakeRun(demo.on("", str(own)), seed=0).graded("demo").passed
-    run = ["touches", "--object", box, "--layout", str(own), "--foam", "stiff", "--seeds", "1"]
-    run += ["--memory", str(tmp_path / "memory"), "--out", str(tmp_path), "--workers", "1"]
-    assert cli.main(run) == 0
     with pytest.raises(SetupError, match=r"is for the layout own .*name that layout .*--layout"):
         Processes(tmp_path / "x.toml", "", demo.on("", RING.replace("12", "16")), "error")

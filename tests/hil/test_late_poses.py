@@ -42,12 +42,13 @@ def run(extrapolate_s: float) -> tuple[float, float, int]:
 
     ran.daemon.pose = pose  # type: ignore[method-assign]
     track.at = placing  # type: ignore[method-assign]
-    ends = ran.run()
+    ran.run()
+    error_mm = ran.judge.error_mm(pipeline.estimate.map)
     t, x, y, _ = np.array(told).T
     when = [at_s for at_s, _ in placed]
     where = np.array([sensor[:2] for _, sensor in placed])
     off = where - np.column_stack([np.interp(when, t, x), np.interp(when, t, y)])
-    return ends[-1].error_mm, 1e3 * float(np.hypot(*off.T).max()), pipeline.inputs.scans_waited
+    return error_mm, 1e3 * float(np.hypot(*off.T).max()), pipeline.inputs.scans_waited
 
 
 def test_scans_after_the_last_pose_are_placed_within_what_the_robot_errs() -> None:

@@ -108,7 +108,7 @@ def test_a_filter_follows_with_the_model_whose_distance_was_measured(
 def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_beside(
     block: Path, measured: Path, tmp_path: Path
 ) -> None:
-    more = ("--groups", "analytic,density-64", "--minutes", "0")
+    more = ("--groups", "analytic,paper", "--minutes", "0")
     kept = ("--memory", str(measured / "memory"))
     assert evaluate("proposals", block, tmp_path, *more, *kept) == 0
     assert {row["proposal"] for row in rows(tmp_path, "proposals")} == ANALYTIC

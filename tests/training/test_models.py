@@ -45,7 +45,6 @@ def fitted(
     [
         ("density", "ring_model"),
         ("density", "half_model"),
-        ("dpm", "half_model"),
         ("ddpm", "ring_model"),
         ("paper", "half_model"),
     ],

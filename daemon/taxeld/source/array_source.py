@@ -14,6 +14,9 @@ from taxeld_protocol.decoder import Scan
 
 HELD_MAX = 256  # frames between two polls; beyond, the oldest are lost
 SILENT_S = 1.0  # without a good frame for so long, a line says why
+LINES_MAX = (
+    20  # different lines that are logged, each of them once: a line a frame would hide all others
+)
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +37,7 @@ class ArraySource(Source):
         self._held: deque[ArrayFrame] = deque(maxlen=HELD_MAX)
         self._good_s: float | None = None  # when a frame was used last
         self.look: Callable[[float], None] = lambda _: None  # at the door, where no loop does it
-        self._said = ""  # the last line that was logged
+        self._said: set[str] = set()
         self._malformed, self._reason, self._connected = 0, "", False
 
     def hear(self, frame: ArrayFrame) -> None:
@@ -71,6 +74,7 @@ class ArraySource(Source):
         return scans
 
     def _say(self, line: str) -> None:
-        if line != self._said:
-            self._said = line
+        """Log a line, once."""
+        if line not in self._said and len(self._said) < LINES_MAX:
+            self._said.add(line)
             log.warning("%s", line)

@@ -226,15 +226,15 @@ def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
         for touch in trial
     ]
     both = [[touch.is_right for touch in trial] for trial in trials]
-    share = np.mean(both, axis=0).round(4).tolist()
+    shares = np.mean(both, axis=0).round(4).tolist()
     return row | {
         "ms": round(float(np.median(spent_ms)), 3),
         "ms_mean": round(float(np.mean(spent_ms)), 3),
         "idle_ms": round(quiet_ms(touches), 3),
         "found": np.mean(right, axis=0).round(4).tolist(),
-        "found_and_sure": share,
+        "found_and_sure": shares,
         "found_and_sure_ci": share("", [trial[AFTER - 1] for trial in both])["_ci"],
-        "touches_to_90": next((k for k, each in enumerate(share, 1) if each >= MOST_FOUND), None),
+        "touches_to_90": next((k for k, one in enumerate(shares, 1) if one >= MOST_FOUND), None),
         "misleading": sum(touch.misleading for touch in touches),
     }
 
