@@ -24,6 +24,7 @@ from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID, Row, condition, object_name, table
+from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import OBJECTS
 from taxeld_training.samplers.trained import DENSITY, PAPER
 
