@@ -35,7 +35,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
     def turned(link: re.Match[str]) -> str:
         image, text, target, anchor = link[1], link[2], link[3], link[4] or ""
-        if "://" in target:
+        if "://" in target or "/" in page.file.src_uri:  # pages of a folder link within `docs`
             return link[0]
         name = target.removeprefix("docs/") if is_outside else target.removeprefix("../")
         name = PAGES.get(name, name)
