@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,19 @@ def test_what_is_reset_is_forgotten_by_the_next_pass(
     until(lambda: len(kept.read(1001.0)) > 0)
     before.reset()
     kept.forget()
+    until(lambda: not kept.read(1001.0), lambda: kept.keep(60.1, 1000.1))
+
+
+def test_what_is_reset_during_a_contact_is_forgotten_as_well(
+    box_model: ObservationModel, tmp_path: Path
+) -> None:
+    before, _ = felt(box_model)
+    kept = BeliefFile(tmp_path, before)
+    kept.keep(60.0, 1000.0)
+    until(lambda: len(kept.read(1001.0)) > 0)
+    before.reset()
+    kept.forget()
+    before.estimate = replace(before.estimate, contact=True)
     until(lambda: not kept.read(1001.0), lambda: kept.keep(60.1, 1000.1))
 
 

@@ -27,6 +27,7 @@ from taxeld.service.kept_file import FUTURE_S, KeptFile
 NAME = "belief.bin"
 VERSION = 1
 EVERY_S, AT_LEAST_S = 60.0, 240.0  # between two writings out of contact; where nothing is new
+FORGOTTEN = -1  # in place of a number of changes: the file has what counts no more
 MAX_BYTES = 16_000_000  # the most scans of 5000 taxels have 8 MB
 HEAD_MAX = 1000  # bytes of the line
 HEAD, OF_TAXELS = 7, 8  # numbers of a scan, and of each of its taxels
@@ -145,7 +146,9 @@ class BeliefFile:
 
     def keep(self, now_s: float, wall_s: float) -> None:
         """Have the scans written if it is time to; `now_s` is monotonic. Never blocks."""
-        if self._file is None or self._file.is_busy or self._estimator.estimate.contact:
+        if self._file is None or self._file.is_busy:
+            return
+        if self._estimator.estimate.contact and self._changes != FORGOTTEN:
             return
         changes, passed_s = self._estimator.history.changes, now_s - self._written_s
         is_due = passed_s >= (EVERY_S if changes != self._changes else AT_LEAST_S)
@@ -160,8 +163,8 @@ class BeliefFile:
             self._file.close(self._made(wall_s) if has_any else None)
 
     def forget(self) -> None:
-        """All is forgotten, which the next `keep` writes."""
-        self._written_s, self._changes = -math.inf, -1
+        """All is forgotten, which the next `keep` writes, in a contact as well."""
+        self._written_s, self._changes = -math.inf, FORGOTTEN
 
     def _made(self, t: float) -> Callable[[], bytes]:
         """Makes the content of Unix time t."""
