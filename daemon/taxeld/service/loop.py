@@ -166,7 +166,7 @@ class Daemon:
             if outcome is not None:
                 self.publisher.thought(outcome, now_s)
         self.kept.keep(now_s, wall_s)
-        if self.publisher.due(now_s):
+        if self.publisher.send_due(now_s):
             self._send_health(now_s)
         own_s = (time.thread_time_ns() - cpu) / 1e9
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0

@@ -97,7 +97,7 @@ class Publisher:
         """Publish the estimate again, which a second opinion has improved."""
         self._send_estimate(_stages_us(outcome), now_s)
 
-    def due(self, now_s: float) -> bool:
+    def send_due(self, now_s: float) -> bool:
         """Publish without a scan: an estimate whose status has changed or whose time has come, and
         advice; → whether health is due as well."""
         if self._is_news(self._estimate(now_s)) or now_s >= self._next_estimate_s:
