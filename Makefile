@@ -23,7 +23,6 @@ lint: .venv/.all
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
-	$(BIN)/python tests/lines.py
 	$(BIN)/python tests/words.py
 	$(BIN)/python tests/figures.py
 
