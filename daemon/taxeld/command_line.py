@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from taxeld import __version__
+from taxeld.config import gone
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 
@@ -101,24 +102,6 @@ def add_keys(made: argparse.ArgumentParser) -> None:
     made.add_argument("--keys", type=Path, metavar="DIR", help=about)
 
 
-def add_renamed(made: argparse.ArgumentParser, before: str, now: argparse.Action) -> None:
-    """Also take the option `now` under its name of earlier versions, and say its name."""
-
-    class Renamed(argparse.Action):
-        def __call__(
-            self,
-            parser: argparse.ArgumentParser,
-            namespace: argparse.Namespace,
-            values: object,
-            option_string: str | None = None,  # noqa: ARG002
-        ) -> None:
-            name = now.option_strings[0]
-            print(f"{before} is now {name}", file=sys.stderr)
-            now(parser, namespace, values, name)  # type: ignore[arg-type]
-
-    made.add_argument(before, action=Renamed, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
-
-
 def stopping() -> Callable[[], bool]:
     """From now on, whether a signal asked for the end."""
     stopped: list[int] = []
@@ -131,7 +114,11 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
     """Run the command of the arguments; → 0 fine, 1 failed at work, 2 wrong arguments or
     configuration. `prefix` begins each line on a fault."""
     _open_standard()
-    args, unknown = made.parse_known_args(argv)
+    typed = sys.argv[1:] if argv is None else argv
+    for word in (f"{made.prog} {next(iter(typed), '')}", *(w.partition("=")[0] for w in typed)):
+        if line := gone.why(word):
+            return _refuse(prefix, line)
+    args, unknown = made.parse_known_args(typed)
     if unknown:
         args.used.error(f"unrecognized arguments: {' '.join(unknown)}")
     try:

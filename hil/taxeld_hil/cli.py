@@ -26,10 +26,6 @@ if TYPE_CHECKING:
 
 VCAN = "vcan0"
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parent / "scenarios").glob("*.toml"))
-GONE = {  # commands of earlier versions, and what replaced them
-    "physics": "what the simulated skins were fitted to: docs/physics.md",
-    "touches": "how well touches of a soft skin find an object: taxeld-hil expect",
-}
 
 _say = partial(print, flush=True)
 
@@ -37,10 +33,6 @@ _say = partial(print, flush=True)
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
     command_line.one_thread()
-    argv = sys.argv[1:] if argv is None else argv
-    if argv and argv[0] in GONE:
-        print(f"taxeld-hil {argv[0]} is gone; {GONE[argv[0]]}", file=sys.stderr)
-        return command_line.USAGE_ERROR
     return command_line.main(_parser(), argv)
 
 
@@ -345,8 +337,7 @@ def _add_world(made: argparse.ArgumentParser) -> None:
     about = "in place of the scenario's object: box, drill, mug, or a path"
     made.add_argument("--object", default="", metavar="BUNDLE", help=about)
     about = f"in place of the scenario's: {', '.join(FOAMS)}"
-    foam = made.add_argument("--foam", default="", help=about)
-    command_line.add_renamed(made, "--skin", foam)
+    made.add_argument("--foam", default="", help=about)
 
 
 def _add_layout(made: argparse.ArgumentParser) -> None:

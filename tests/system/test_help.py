@@ -11,6 +11,7 @@ import pytest
 from deploy import manuals
 
 from taxeld import __version__, command_line
+from taxeld.config import gone
 from taxeld_hil.scenario.mesh_config import FOAMS
 from taxeld_hil.scenario.scenario import shipped
 from tests.rig.commands import refused
@@ -78,26 +79,17 @@ def test_each_command_has_a_sentence_and_examples_that_its_parser_takes(
         PROGRAMS[program]._parser().parse_args(typed[1:])
 
 
-RENAMED = [  # a line with an option's earlier name, its present one, and the value
-    ("taxeld-train scene x --skin a.json", "layout", "a.json"),
-    ("taxeld-train build x --out y --skin a.json", "layout", "a.json"),
-    ("taxeld-train evaluate filter --skin a.json", "layout", ["a.json"]),
-    ("taxeld-hil run demo --skin poor", "foam", "poor"),
-    ("taxeld-hil emulate demo --can vcan0 --poses ipc://x --out y --skin poor", "foam", "poor"),
-    ("taxeld-hil matrix --skin poor --skin stiff", "foam", ["poor", "stiff"]),
-]
-
-
-@pytest.mark.parametrize(("line", "now", "value"), RENAMED)
-def test_an_option_under_its_earlier_name_works_and_says_the_present_one(
-    line: str, now: str, value: object, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    "typed",
+    [["taxeld", "sing"], ["taxeld", "check", "--loudly", "x"], ["taxeld", "check", "--loudly=3"]],
+)
+def test_a_command_or_an_option_that_is_gone_is_refused_with_what_replaces_it(
+    typed: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program, *typed = shlex.split(line)
-    args = PROGRAMS[program]._parser().parse_args(typed)
-    assert getattr(args, now) == value
-    said = capsys.readouterr().err.splitlines()
-    assert set(said) == {f"--skin is now --{now}"}
-    assert "--skin" not in PROGRAMS[program]._parser().format_help()
+    monkeypatch.setattr(gone, "GONE", {"taxeld sing": "whistle", "--loudly": "it is loud"})
+    name, cure = ("taxeld sing", "whistle") if len(typed) == 2 else ("--loudly", "it is loud")
+    program, *arguments = typed
+    assert refused(*arguments, main=PROGRAMS[program].main) == f"{name}: is gone; {cure}\n"
 
 
 def test_the_harness_lists_its_scenarios_and_foams() -> None:

@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 
 from taxeld import command_line
-from taxeld.command_line import add_renamed, documented
+from taxeld.command_line import documented
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld_hil import options
@@ -168,8 +168,7 @@ def _with_object(one: argparse.ArgumentParser, nargs: str | None = None) -> argp
     add("object", metavar="OBJECT", nargs=nargs, help=about)
     about = "as skin.layout in the configuration (default %(default)s)"
     about += "" if nargs is None else "; again for each further link"
-    layout = add("--layout", action=action, default=SkinConfig().layout, help=about)
-    add_renamed(one, "--skin", layout)
+    add("--layout", "--skin", action=action, default=SkinConfig().layout, help=about)
     about = "the sensor frame's origin above the object's lowest point (default %(default)s)"
     add("--height-m", action=action, type=float, default=HEIGHT_M, metavar="H", help=about)
     about = "depth of a press at full scale (default %(default)g)"
@@ -194,7 +193,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     about = "default: box and mug; of filter, whole, works, recognise, proposals the ten"
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
-    add_renamed(one, "--skin", options.add_layouts(one, "those skins"))
+    options.add_layouts(one, "those skins")
     about = (
         "samplers (analytic, …), filters (table, shipped, …), or of ablation constants (MOVE, …)"
     )

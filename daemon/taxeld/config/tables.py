@@ -5,7 +5,7 @@ Names of keys end in their units.
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any
 
 from taxeld.config.toml_tables import Bound, Given, between, key, one_of, unwritten
 from taxeld_protocol import icub
@@ -90,14 +90,6 @@ class SkinConfig:
         "", doc="what taxeld calibrate wrote, relative to this file; empty: none is used"
     )
 
-    GONE: ClassVar = {
-        "baseline_scans": "20 untouched scans make the baseline",
-        "drift_s": "baselines follow drift within 60 s",
-        "state_max_age_s": "a baseline that was stored more than 12 h ago is not used",
-        "calibration_max_age_days": "a calibration older than 180 days is refused: calibrate again",
-        "calibration_required": "leave skin.calibration empty to run without one",
-    }
-
 
 @dataclass(frozen=True, slots=True)
 class SourceConfig:
@@ -139,8 +131,6 @@ class SourceConfig:
         """A session, an endpoint or a device: where frames of this kind come from."""
         return {"replay": self.path, "array": self.endpoint}.get(self.kind, self.channel)
 
-    GONE: ClassVar = {"max_age_s": "a scan that is older than 0.5 s when it arrives is not used"}
-
 
 @dataclass(frozen=True, slots=True)
 class SceneConfig:
@@ -169,12 +159,6 @@ class SensorPoseConfig:
         0.001, between(0, 0.05), "sd of the sensor's place, the same throughout a touch"
     )
 
-    GONE: ClassVar = {
-        "max_age_s": "a scan whose pose is older than 0.2 s is not used",
-        "extrapolate_s": "the speed of the last two poses holds for 20 ms",
-        "within_m": "a pose more than 10 m from the origin is not taken: send metres",
-    }
-
 
 @dataclass(frozen=True, slots=True)
 class LinkPoseConfig:
@@ -201,10 +185,6 @@ class LoopConfig:
         20, between(0, 99), "SCHED_FIFO, and memory locked, where permitted; 0: neither"
     )
 
-    GONE: ClassVar = {
-        "stale_s": "without a scan for 0.5 s, or three periods, an estimate is not valid"
-    }
-
 
 @dataclass(frozen=True, slots=True)
 class BudgetConfig:
@@ -213,14 +193,6 @@ class BudgetConfig:
     propose_ms: float = key(
         5.0, between(0.01, 1000), "a proposal; auto chooses by it, measured at start"
     )
-
-    GONE: ClassVar = {
-        "source_ms": "subscribe to /taxeld/estimate, and judge lat_us.source",
-        "skin_ms": "subscribe to /taxeld/estimate, and judge lat_us.skin",
-        "filter_ms": "a touch may take most of the time between two scans (source.period_ms)",
-        "publish_ms": "subscribe to /taxeld/estimate, and judge lat_us.publish",
-        "degrade": "samples are saved where touches take longer than the time between two scans",
-    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,16 +227,6 @@ class FilterConfig:
         "what was felt is kept in skin.state_dir, and used by a start that comes so soon; 0: never",
     )
     risk: float = key(1e-3, between(1e-6, 0.5), "of being farther from it than radius_m, at most")
-
-    GONE: ClassVar = {
-        "kld_error": "particles and particles_max bound the number of particles",
-        "kld_confidence": "particles and particles_max bound the number of particles",
-        "injected_decay": "injection paper halves its samples with each contact, as published",
-        "project": "all samples are brought onto the object",
-        "memory": "16 scans of touches are remembered",
-        "sampler": "name the sampler in filter.proposal",
-        "outliers": "1 % of the readings may mean nothing",
-    }
 
 
 def _few(most: int) -> Bound:
@@ -333,14 +295,10 @@ class RelayConfig:
     control: str = key("", doc="where status and info are answered; empty: nowhere")
     change: bool = key(False, doc="tare and reset are taken there as well")
 
-    GONE: ClassVar = {"frames": "messages have three frames: use a PlotJuggler after 3.17.2"}
-
 
 @dataclass(frozen=True, slots=True)
 class CurveConfig:
     directory: str = key("", doc="keys, without which nothing goes beyond this machine")
-
-    GONE: ClassVar = {"loopback": "loopback is open to this machine: use a Unix socket there"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -400,5 +358,3 @@ class Config:
     def topics(self) -> tuple[str, ...]:
         """The topics of the links' sensor poses; empty: the usual one."""
         return tuple(link.sensor_pose.topic for link in self.links) or ("",)
-
-    GONE: ClassVar = {"metrics.file": "run examples/metrics.py, which subscribes"}

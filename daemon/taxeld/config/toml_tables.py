@@ -1,17 +1,18 @@
 """TOML files as frozen dataclasses: types, defaults, bounds, and all faults in one pass.
 
-Unknown keys are refused, and every fault is named by its path (`source.chanel: unknown key`). The
-keys that a table once had are listed in its `GONE`, each with what replaces it.
+Unknown keys are refused, and every fault is named by its path (`source.chanel: unknown key`).
 """
 
 import difflib
 import math
+import re
 import reprlib
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from typing import Any, Generic, TypeVar, cast, get_args, get_origin, get_type_hints
 
+from taxeld.config import gone
 from taxeld.errors import SetupError, one_line
 
 T = TypeVar("T")
@@ -117,11 +118,9 @@ def _values(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> di
         if name and isinstance(data.get(name), list):
             known[name] = spec
     hints = get_type_hints(cls)
-    gone: Mapping[str, str] = getattr(cls, "GONE", {})  # key, or TABLE.key → what replaces it
     for name in data.keys() - known:
-        replaced = [key for key in gone if key.partition(".")[0] == name]
-        faults += [f"{path}{key}: is gone; {gone[key]}" for key in replaced]
-        if replaced:
+        if line := gone.why(re.sub(r"^skin\[\d+\]\.(?=source)|\[\d+\]", "", path + name)):
+            faults.append(line)
             continue
         near = difflib.get_close_matches(name[:KEY_SHOWN], known, 1)
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from taxeld.command_line import Commands, add_renamed, documented
+from taxeld.command_line import Commands, documented
 from taxeld.errors import SetupError
 from taxeld_hil import jobs, options
 from taxeld_hil.jobs import Job
@@ -61,7 +61,7 @@ def _add_runs(made: argparse.ArgumentParser, seeds: int, foams: tuple[str, ...] 
     """The options of a measurement; `seeds` and `foams` are those without them."""
     if foams:
         about = f"default: {', '.join(foams)}"
-        add_renamed(made, "--skin", made.add_argument("--foam", action="append", help=about))
+        made.add_argument("--foam", action="append", help=about)
         made.set_defaults(foams=foams)
     about = "runs of each kind (default %(default)s)"
     made.add_argument("--seeds", type=int, default=seeds, metavar="N", help=about)

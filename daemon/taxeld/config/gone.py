@@ -1,0 +1,12 @@
+"""What this version no longer has, each with what replaces it.
+
+A configuration's key (`table.key`), a command (`taxeld-hil draw`) or an option (`--truth`) that
+stands here is refused with its line. The table is emptied at the next minor version.
+"""
+
+GONE: dict[str, str] = {}
+
+
+def why(name: str) -> str | None:
+    """One line about a key, command or option that is gone; None where it never was."""
+    return f"{name}: is gone; {GONE[name]}" if name in GONE else None
