@@ -5,15 +5,19 @@ SEED ?= 0
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
-.PHONY: demo test node lint docs bench bench-one-core bench-peers picture screenshot
+.PHONY: demo test check node lint docs bench bench-one-core bench-peers picture screenshot
 .PHONY: install rollback uninstall deb dist-test lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
 
-# A file's tests run one after another, two files side by side
+# A file's tests run one after another, two files side by side. TAXELD_TEST_SEED shifts every seed
 test: .venv/.all
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "smoke or not check"
+
+# The longer tests: real processes, faults, builds, experiments
+check: .venv/.all
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "check and not smoke"
 
 # What the client in JavaScript needs, for its test
 node: .venv/.node

@@ -223,6 +223,7 @@ def test_arrays_are_heard_on_this_machine_alone(endpoint: str) -> None:
         parse(toml(source={"kind": "array", "endpoint": endpoint}, scene={"bundle": "box"}))
 
 
+@pytest.mark.check
 def test_a_skin_that_sends_arrays_can_be_accepted(tmp_path: Path) -> None:
     endpoint, out = f"udp://127.0.0.1:{free_port()}", tmp_path / "out"
     with ArraySkin(endpoint, f"ipc://{tmp_path}/robot", "counts", idle=100_000):

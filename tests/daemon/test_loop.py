@@ -432,6 +432,7 @@ def test_a_client_that_breaks_off_does_not_wedge_control(daemon: Daemon, tmp_pat
             assert ask(daemon, socket, msgpack.packb({"cmd": "status"}))["ok"]
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     ("changes", "glue", "fault"),
     [
@@ -501,6 +502,7 @@ def test_an_endpoint_without_its_directory_is_one_line(tmp_path: Path) -> None:
         Daemon(parse(settings(tmp_path / "missing")))
 
 
+@pytest.mark.check
 def test_a_replay_ends_with_its_last_scan(tmp_path: Path) -> None:
     """Though that waits for a pose that does not come."""
     write_session(tmp_path, touches=1, period_s=0.02)

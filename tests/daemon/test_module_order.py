@@ -287,6 +287,7 @@ def serve(hub: VirtualHub, process: "subprocess.Popen[str]", most: float = math.
     )
 
 
+@pytest.mark.check
 def test_record_lists_the_modules_and_a_listener_reads_by_that_list(tmp_path: Path) -> None:
     out = tmp_path / "session"
     with VirtualHub(tmp_path / "skin", MODULES) as hub:
@@ -329,6 +330,7 @@ def test_a_recording_of_a_hub_that_is_refused_says_so_and_lists_no_modules(tmp_p
     assert not (tmp_path / "session" / module_order.FILE).exists()
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("command", ["run", "record"])
 def test_a_daemon_that_cannot_know_the_order_ends_and_a_recording_goes_on(
     tmp_path: Path, command: str

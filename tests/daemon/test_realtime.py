@@ -90,6 +90,7 @@ def test_a_device_that_is_away_for_long_costs_no_memory(monkeypatch: pytest.Monk
         source.close()
 
 
+@pytest.mark.check
 def test_the_collector_runs_once_a_minute_while_nothing_is_pressed() -> None:
     collector = realtime.Collector()
     ran = [k for k in range(400) if collector.tick(float(k), 0, pressed=100 <= k < 200)]

@@ -63,6 +63,7 @@ def recorded_bytes(out: Path) -> int:
     return sum(len(slcan.encode(frame)) for line in lines if (frame := parse_log_line(line)))
 
 
+@pytest.mark.check
 def test_a_recorder_that_is_killed_leaves_what_it_heard_but_for_the_last_moment(
     tmp_path: Path, hub: VirtualHub
 ) -> None:
@@ -84,6 +85,7 @@ def test_a_recorder_that_is_killed_leaves_what_it_heard_but_for_the_last_moment(
     assert errors.count("\n") == 1
 
 
+@pytest.mark.check
 def test_a_full_disk_ends_a_recording_with_one_line_and_status_1(
     tmp_path: Path, hub: VirtualHub
 ) -> None:

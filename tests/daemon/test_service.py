@@ -60,6 +60,7 @@ def tick(daemon: Daemon, hub: Hub, holds: Callable[[], bool]) -> None:
     until(holds, tick_once)
 
 
+@pytest.mark.check
 def test_a_restarted_daemon_feels_what_is_held_from_the_first_scan(
     tmp_path: Path, hub: Hub
 ) -> None:
@@ -75,6 +76,7 @@ def test_a_restarted_daemon_feels_what_is_held_from_the_first_scan(
     again.close()
 
 
+@pytest.mark.check
 def test_a_skin_that_starts_with_the_vendors_pauses_is_not_warned_of(
     tmp_path: Path, hub: Hub, caplog: pytest.LogCaptureFixture
 ) -> None:

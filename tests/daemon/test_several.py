@@ -216,6 +216,7 @@ def test_a_session_of_several_objects_is_replayed(session: Path) -> None:
     assert len(first[-1].objects) == 3
 
 
+@pytest.mark.check
 def test_a_daemon_publishes_several_objects(session: Path) -> None:
     asked: Config = load(session / "config.toml")
     with closing(Daemon(asked)) as daemon:

@@ -20,6 +20,8 @@ from tests.rig.logged import warnings
 
 from .test_notify import environ
 
+pytestmark = pytest.mark.check
+
 DEADLINE_S = 60.0
 
 
@@ -98,6 +100,7 @@ def test_no_signal_of_an_operator_ends_a_daemon_but_those_that_should(
     assert daemon.ends_by(signal.SIGTERM) == 0
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])
 def test_who_ends_a_daemon_ends_it_in_order(daemon: Running, number: int) -> None:
     assert daemon.ends_by(number) == 0

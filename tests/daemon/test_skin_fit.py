@@ -115,6 +115,7 @@ def lived(laps: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[F
     return run, SkinFit(len(run.skin), NOISE).values[3:]
 
 
+@pytest.mark.check
 def test_a_skin_learns_while_it_works_unless_it_is_told_not_to() -> None:
     (run, _), (frozen, _) = (lived(4, 5, learns=learns) for learns in (True, False))
     assert run.daemon is not None

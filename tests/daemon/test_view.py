@@ -74,6 +74,7 @@ def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(tmp_path
     assert 0 < begin["/world/link"] < whole["/world/link"] / 2
 
 
+@pytest.mark.check
 def test_advice_is_drawn_until_the_next_touch(tmp_path: Path) -> None:
     place = Path(shutil.copytree(SESSION, tmp_path / "session"))
     with (place / "config.toml").open("a", encoding="utf-8") as config:
@@ -175,6 +176,7 @@ def test_no_screen_no_daemon_and_wrong_arguments_are_one_line_each(
     assert not out.exists()
 
 
+@pytest.mark.check
 def test_the_viewer_in_a_browser_is_reached_from_this_machine_alone_and_ends() -> None:
     def listening() -> set[str]:
         """Hexadecimal addresses and ports, of the two ports of the page, that are listened at."""

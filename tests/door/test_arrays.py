@@ -103,6 +103,7 @@ def test_bad_messages_are_counted_with_a_reason_and_cost_no_other(listener: List
     assert listener.line.reason.startswith("z has values that are not from")
 
 
+@pytest.mark.check
 def test_a_message_of_ten_megabytes_costs_the_connection_which_comes_back(
     listener: Listener,
 ) -> None:

@@ -71,6 +71,7 @@ def test_a_prior_is_checked_and_taken_by_the_loop(stand: Stand) -> None:
     assert len(stand.priors) == 2
 
 
+@pytest.mark.check
 def test_a_loop_that_does_not_answer_is_said_to_the_client(stand: Stand) -> None:
     stand.until(lambda: stand.sent > 2)
     asking = stand.socket(zmq.REQ, stand.control)

@@ -104,6 +104,7 @@ def test_a_door_is_not_woken_by_each_pose(robot: Robot) -> None:
     assert sleeps() - before < sent / 4
 
 
+@pytest.mark.check
 def test_the_next_pose_comes_at_once_where_the_loop_awaits_it(robot: Robot) -> None:
     """Compared with poses that nobody has asked for, which come in bunches."""
     took_s: dict[bool, list[float]] = {False: [], True: []}
@@ -120,6 +121,7 @@ def test_the_next_pose_comes_at_once_where_the_loop_awaits_it(robot: Robot) -> N
     assert statistics.median(took_s[True]) < statistics.median(took_s[False]) / 2
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("size", [2_000, 200_000])
 def test_a_large_message_beside_the_poses_does_not_end_them(robot: Robot, size: int) -> None:
     """After an error of the protocol ZeroMQ does not connect again by itself."""
@@ -128,6 +130,7 @@ def test_a_large_message_beside_the_poses_does_not_end_them(robot: Robot, size: 
     robot.stand.until(lambda: robot.line.connected)
 
 
+@pytest.mark.check
 def test_another_service_on_the_port_for_a_moment_does_not_end_the_poses(tmp_path: Path) -> None:
     endpoint = robots_endpoint()
     with Stand(tmp_path, robot=endpoint) as stand:
@@ -179,6 +182,7 @@ def test_an_angle_of_a_turn_and_a_half_is_an_angle_in_radians() -> None:
     assert as_pose(framed(packed(theta=9.42))) == (1.0, 0.0, 0.0, 9.42)
 
 
+@pytest.mark.check
 def test_a_robot_that_once_sent_degrees_is_not_heard_at_small_angles_until_it_comes_anew(
     robot: Robot,
 ) -> None:
@@ -225,6 +229,7 @@ def test_the_loop_hears_why_a_message_is_no_pose_in_one_printable_line(
     assert robot.line.topics == []
 
 
+@pytest.mark.check
 def test_what_else_the_robot_publishes_is_named_while_no_pose_comes(tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/poses"
     with Stand(tmp_path, robot=endpoint) as stand:

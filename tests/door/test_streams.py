@@ -93,6 +93,7 @@ def test_a_message_of_any_size_goes_out_whole(local: Stand) -> None:
     assert local.link.unsent == 0
 
 
+@pytest.mark.check
 def test_a_slow_subscriber_keeps_a_bounded_number_and_loses_the_rest_alone(stand: Stand) -> None:
     stalled = stand.subscriber(b"/taxeld/e", RCVHWM=1, RCVBUF=4096)
     reading = stand.subscriber(b"/taxeld/e")

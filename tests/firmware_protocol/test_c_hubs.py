@@ -109,6 +109,7 @@ def own_skin(tmp_path: Path) -> Iterator[str]:
         program.kill()
 
 
+@pytest.mark.check
 def test_by_its_page_an_own_skin_is_recorded_without_a_wrong_value(
     tmp_path: Path, own_skin: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -85,6 +85,7 @@ def test_it_follows_no_advice_from_before_the_end_of_its_last_touch() -> None:
     assert len(rig.path.touched) == 2
 
 
+@pytest.mark.check
 def test_few_touches_find_the_object_and_the_session_gives_the_same_advice(tmp_path: Path) -> None:
     run = FakeRun(ADVISED, seed=0)
     found = run.graded("advised", tmp_path)

@@ -26,6 +26,8 @@ from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
 from tests.rig.virtual_hub import VirtualHub
 
+pytestmark = pytest.mark.check
+
 OBJECT = [f"{value!r}" for value in PLACED.tolist()]
 DEADLINE_S = 120.0
 

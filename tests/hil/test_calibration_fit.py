@@ -48,6 +48,7 @@ def test_what_was_put_in_comes_out_within_the_stated_uncertainty(seed: int) -> N
     assert np.mean(gains < 2.0 * fit.sd.log_gain) > 0.85
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("seed", [5])
 def test_an_object_that_stands_some_millimetres_elsewhere_is_found_along(seed: int) -> None:
     skin = PressedSkin.drawn(MODEL, seed)
@@ -75,6 +76,7 @@ def test_a_module_that_reads_a_neighbours_press_along_biases_no_gain_by_much() -
     assert np.median(gain_off(fit, skin)[known]) < 0.03
 
 
+@pytest.mark.check
 def test_noise_that_is_written_is_what_readings_keep() -> None:
     skin = PressedSkin.drawn(MODEL, 5)
     presses = skin.presses()
@@ -122,6 +124,7 @@ def test_a_mount_is_refused_that_cannot_be_told_from_the_objects_pose() -> None:
     assert "turn the sensor between presses (its yaw differs by 0° now), or give" in message
 
 
+@pytest.mark.check
 def test_an_object_that_is_not_where_it_is_said_to_be_is_refused() -> None:
     skin = PressedSkin.drawn(MODEL, 2)
     wrong = Placed(se2.compose(PLACED, np.array([0.03, 0.02, 0.5])), given=True)
@@ -129,6 +132,7 @@ def test_an_object_that_is_not_where_it_is_said_to_be_is_refused() -> None:
     assert "explains the presses" in message or "cannot be told" in message
 
 
+@pytest.mark.check
 def test_presses_of_swapped_modules_or_of_an_object_that_moves_are_refused() -> None:
     skin = PressedSkin.drawn(MODEL, 6)
     presses = skin.presses()

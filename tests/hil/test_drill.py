@@ -21,6 +21,8 @@ pytest.importorskip("shapely", reason="it cuts them")
 
 from taxeld_hil.objects import HEIGHT_M, bundles
 
+pytestmark = pytest.mark.check
+
 RING = "cylinder:rows=4,columns=12,radius_m=0.04,pitch_m=0.015"
 
 

@@ -13,6 +13,7 @@ from taxeld_hil.rig.ports import NativePort
 DEADLINE_S = 60.0
 
 
+@pytest.mark.check
 def test_a_watcher_of_nobody_says_so(tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/nobody"
     command = ["-m", "taxeld_hil.cli", "watch", "--bundle", "box", "--endpoint", endpoint]

@@ -20,6 +20,8 @@ from tests.hil.rig import DEMO, MODEL, TRUTH
 from tests.rig.commands import refused
 from tests.rig.skins import table_of
 
+pytestmark = pytest.mark.check
+
 PATCH = "cylinder:rows=2,columns=40,radius_m=0.07,pitch_m=0.015"
 
 
@@ -134,6 +136,7 @@ def test_known_responses_undo_those_of_the_very_skin() -> None:
     assert known.onset.std() > 0.1
 
 
+@pytest.mark.smoke
 def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

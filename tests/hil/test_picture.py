@@ -86,6 +86,7 @@ def test_a_session_whose_object_is_not_found_is_one_line(
     assert not out.exists()
 
 
+@pytest.mark.check
 def test_the_moments_are_written_small_enough_for_a_page(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

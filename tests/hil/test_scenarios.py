@@ -26,6 +26,8 @@ from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from tests.rig.clocks import until
 
+pytestmark = pytest.mark.check
+
 RATE_HZ = 40.0  # ticks of the daemon: two a scan
 HARNESS = [sys.executable, "-m", "taxeld_hil.cli"]
 TARGET = os.environ.get("TAXELD_TARGET", "")
@@ -131,6 +133,7 @@ def test_a_scenario_passes_over_any_transport(name: str, transport: str) -> None
     assert failed(graded(name, "scene", transport)) == []
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("transport", ["slcan", "native", "array"])
 def test_a_run_on_the_fake_clock_leaves_a_session_that_replays_to_its_end(
     transport: str, tmp_path: Path

@@ -144,6 +144,7 @@ def test_an_estimate_that_may_not_be_used_is_no_pose_and_its_status_is_told(
     assert not [t for t in published if np.isclose(t, unusable, rtol=0.0, atol=1e-6).any()]
 
 
+@pytest.mark.check
 def test_without_a_daemon_that_is_said_once_and_told_as_stale_until_one_comes(
     tmp_path: Path, heard: Heard
 ) -> None:
@@ -192,6 +193,7 @@ def test_the_service_manager_is_told_that_the_bridge_is_ready_alive_and_how_it_i
             until(lambda: manager.recv(1000) == b"STOPPING=1")
 
 
+@pytest.mark.check
 def test_a_reader_that_hangs_costs_the_others_nothing(
     daemon: Daemon, heard: Heard, tmp_path: Path
 ) -> None:
@@ -258,6 +260,7 @@ def test_a_topic_of_poses_becomes_the_robots_poses_and_a_tilted_link_is_left_out
         assert robot.pose() is None
 
 
+@pytest.mark.check
 def test_why_no_sensor_pose_comes_is_said_after_a_while(daemon: Daemon, tmp_path: Path) -> None:
     expected = {
         ("--sensor-topic", "arm/skim"): "no geometry_msgs/msg/PoseStamped came on /arm/skim in "

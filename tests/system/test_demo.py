@@ -41,6 +41,7 @@ def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path
     ]
 
 
+@pytest.mark.check
 def test_an_advised_robot_goes_where_the_daemon_says(tmp_path: Path) -> None:
     (tmp_path / "short.toml").write_text(SCENARIO, encoding="utf-8")
     command = ["-m", "taxeld_hil.cli", "run", str(tmp_path / "short.toml"), "--advised"]

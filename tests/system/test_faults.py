@@ -15,6 +15,8 @@ import zmq
 
 from tests.system.touched import Touched, touched
 
+pytestmark = pytest.mark.check
+
 DISK_KB = 60
 LOSSES = 2
 NEAR = 1e-6  # a recording keeps the microseconds of a scan's time, and no less

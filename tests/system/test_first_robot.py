@@ -18,6 +18,8 @@ from taxeld.layout import read as layouts
 from taxeld.stream import messages
 from tests.rig.skins import table_of
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "first-robot.md"
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("*.md"))]

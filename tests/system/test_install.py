@@ -13,6 +13,8 @@ import pytest
 
 from ..rig.clocks import until
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).parents[2]
 
 # Makes an environment of version $BUILDS, whose `taxeld check` refuses a line $REFUSES

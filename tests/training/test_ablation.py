@@ -19,6 +19,8 @@ from tests.rig.commands import refused
 
 from .rig import evaluate, rows
 
+pytestmark = pytest.mark.check
+
 MUG = Setting("025_mug", ring(16), 16)
 
 

@@ -32,6 +32,8 @@ from tests.rig.processes import read_all
 
 from . import rig
 
+pytestmark = pytest.mark.check
+
 SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
 DEPTH_M = 0.003
 

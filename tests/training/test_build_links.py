@@ -10,6 +10,8 @@ from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 from taxeld_training import cli
 
+pytestmark = pytest.mark.check
+
 RING = "cylinder:rows=3,columns=12,radius_m=0.04,pitch_m=0.015"
 THIN = "cylinder:rows=2,columns=8,radius_m=0.03,pitch_m=0.02"
 OTHER = "cylinder:rows=2,columns=9,radius_m=0.03,pitch_m=0.02"

@@ -63,6 +63,7 @@ def test_a_world_that_is_smaller_in_all_is_the_same_but_for_its_lengths() -> Non
     assert little.depth_max_m == 0.25 * usual.depth_max_m
 
 
+@pytest.mark.check
 def test_the_papers_own_diffusion_is_run_by_the_papers_own_rule(
     small: Setting, tmp_path: Path
 ) -> None:
@@ -144,6 +145,7 @@ def test_a_row_of_what_ships_alone_has_a_diagram_of_the_contacts_since_the_row_b
     assert (ours["stanford"]["sure"], ours["stanford"]["far_beyond"]) == (3, 1)
 
 
+@pytest.mark.check
 def test_cans_that_a_filter_takes_for_boxes_are_flagged_after_eight_contacts() -> None:
     """Some of a can's contacts agree with a box; of these four trials three ended converged while
     one contradiction asked for no more agreement than many."""

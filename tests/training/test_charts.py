@@ -56,6 +56,7 @@ def map_rows() -> list[dict[str, Any]]:
     ]
 
 
+@pytest.mark.check
 def test_a_map_of_all_levels_is_small_and_the_same_rows_give_the_same_bytes(tmp_path: Path) -> None:
     rows = map_rows()
     trial_charts.failures(rows, tmp_path / "map.png")

@@ -25,6 +25,8 @@ from tests.rig.commands import refused
 
 from .rig import evaluate, rows, written_at
 
+pytestmark = pytest.mark.check
+
 ANALYTIC = {"projection", "manifold", "table", EXACT}
 TRIAL_KEYS = {
     "object",
@@ -62,6 +64,7 @@ def measured(block: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.smoke
 def test_proposals_has_a_row_a_sampler_and_remembers_its_jobs(block: Path, measured: Path) -> None:
     found = {row["proposal"]: row for row in rows(measured, "proposals")}
     assert found.keys() == ANALYTIC | {"density"}

@@ -24,6 +24,8 @@ from tests.rig.commands import refused
 from . import rig
 from .rig import evaluate, rows, written_at
 
+pytestmark = pytest.mark.check
+
 TOUCHES = 8
 NAMES = ("box", "mug")
 

@@ -20,6 +20,8 @@ from taxeld_training.objects.setting import Setting, ring
 
 from .rig import evaluate, rows, written_at
 
+pytestmark = pytest.mark.check
+
 ROOT = Path(__file__).parents[2]
 SHARED = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared"))
 PATCH = SHARED / "data" / "layouts" / "ur10e_link1_patch1.json"

@@ -50,6 +50,7 @@ def test_touches_that_are_off_are_given_room_and_the_object_is_found(
     assert [error < 10.0 for error, _ in found].count(True) >= SEEDS - 1
 
 
+@pytest.mark.check
 def test_what_is_taken_for_exact_loses_the_object_of_a_robot_that_errs() -> None:
     """So the test above is one of the slack, and not of an easy condition."""
     given = TrialConditions(sensor_sd_m=0.004)
