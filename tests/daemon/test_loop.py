@@ -97,17 +97,16 @@ def plain(value: object) -> bool:
     return isinstance(value, (bool, int, float))
 
 
-@pytest.mark.parametrize("time_of", ["9" * 400, "9" * 5000, "[" * 2000])
-def test_a_daemon_starts_without_a_skin_state_that_is_damaged(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, time_of: str
+def test_a_daemon_starts_without_a_kept_file_that_is_damaged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    state = tmp_path / "skin.json"
-    state.write_text(f'{{"version": 1, "t": {time_of}}}', encoding="ascii")
+    state = tmp_path / "kept.npz"
+    state.write_bytes(b"PK" + bytes(1000))
     before = state.read_bytes()
     daemon = Daemon(parse(settings(tmp_path) + f'[skin]\nstate_dir = "{tmp_path}"\n'))
     try:
         daemon.tick(time.monotonic())
-        (line,) = [line for line in caplog.messages if "skin.json" in line]
+        (line,) = [line for line in caplog.messages if "kept.npz" in line]
         assert line.startswith(f"{state}: not used, it is ")
     finally:
         daemon.close()

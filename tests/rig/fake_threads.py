@@ -78,10 +78,13 @@ class _Event:
     def set(self) -> None:
         self._is_set = True
 
+    def clear(self) -> None:
+        self._is_set = False
+
     def is_set(self) -> bool:
         return self._is_set
 
-    def wait(self, timeout: float) -> bool:
+    def wait(self, timeout: float = 1e9) -> bool:
         until_s = self._owner._clock() + timeout
         self._owner.park(lambda: self._is_set or self._owner._clock() >= until_s)
         return self._is_set

@@ -31,8 +31,6 @@ from taxeld.proposals import bundle, manifest, scene_file, several
 from taxeld.proposals.analytic import Manifold, Projection, check_contacts
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.sampler import Sampler
-from taxeld.service import state_file
-from taxeld.skin.skin import Skin
 from taxeld.source import session
 from taxeld.stream import curve, messages
 from taxeld_hil.scenario import scenario
@@ -40,7 +38,6 @@ from taxeld_hil.scenario import scenario
 from ..daemon.test_layout_files import document
 from ..daemon.test_layout_icub import icub_rows, icub_text
 from .log_writers import bus, candump_log
-from .simulated_skin import SimulatedSkin
 from .skins import table_of
 
 ROOT = Path(__file__).parents[2]
@@ -165,34 +162,6 @@ def _certificate(path: Path) -> None:
     curve.secret_key(path)
 
 
-@cache
-def _skin() -> Skin:
-    layout = layouts.load("cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015")
-    skin = Skin(layout, SkinConfig())
-    SimulatedSkin(layout).run(skin, 4.0)
-    return skin
-
-
-def _state(content: bytes) -> None:
-    """Its own error is a ValueError, which the daemon puts into a line of its log."""
-    skin = _skin()
-    try:
-        state = state_file.parse(content, skin.digest, len(skin.layout), skin.modules)
-    except ValueError as error:
-        if not str(error).startswith("it"):
-            raise
-        raise SetupError(str(error)) from None
-    fresh = Skin(skin.layout, SkinConfig())
-    fresh.restore(state)
-    fresh.on_scan(SimulatedSkin(skin.layout).scan())
-
-
-def _states() -> list[bytes]:
-    state = _skin().state()
-    assert state is not None
-    return [state_file.dump(state)]
-
-
 def _frames() -> list[bytes]:
     candump_log()(bus(3), place() / "made")
     return [(place() / "made").read_bytes()]
@@ -230,9 +199,9 @@ READERS = {
         lambda: [(SHIPPED / "density-16.onnx").read_bytes()],
         30,
     ),
-    "state": Reader(_state, _states),
     "layout.csv": Reader(
-        _layout("skin.csv"), lambda: [table_of(_skin().layout, uid=True).encode()]
+        _layout("skin.csv"),
+        lambda: [table_of(layouts.load(SkinConfig().layout), uid=True).encode()],
     ),
     "layout.json": Reader(_layout("skin.json"), lambda: [json.dumps(document(16)).encode()]),
     "positions.txt": Reader(

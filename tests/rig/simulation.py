@@ -157,6 +157,7 @@ class Run:
             "taxeld.stream.link.Link._give": given,
             "taxeld.service.inputs.Inputs.on_pose": posed,
             "taxeld.source.recorder.threading": world.writers,
+            "taxeld.service.kept_file.threading": world.writers,
             "taxeld.source.recorder.FileIO": File,
             "taxeld.source.sources.open_device": lambda *_: SimulatedDevice(world),
         }

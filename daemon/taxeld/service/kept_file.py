@@ -1,81 +1,107 @@
-"""A file of what is kept over restarts: read once, and written seldom, by a thread of its own.
+"""A file of arrays that is kept over restarts: numpy's own, without pickle.
 
-It is written beside, synced and then renamed, so that a power cut leaves the old one or the new
-one, whole. A fault of the disk or of the file is warned of once.
+It is read once; the zip's checksums say whether it is whole. One thread writes it, beside, synced
+and then renamed, so that a power cut leaves the old file or the new one.
 """
 
+import io
 import logging
 import os
 import threading
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from taxeld.config.file import opened
 
-FUTURE_S = 3600.0  # a time farther ahead was stored by a wrong clock, or is read by one
-CLOSE_S = 2.0  # time that the last writing may take
+MAX_BYTES = 64_000_000  # four times the scans of a skin of 5000 taxels
+CLOSE_S = 4.0  # time that the last two writings may take
 
+Arrays = dict[str, NDArray[Any]]
 log = logging.getLogger(__name__)
 
 
 class KeptFile:
-    """One file; nothing but `close` waits for the disk."""
+    """The file and its writer; nothing but `close` waits for the disk."""
 
-    def __init__(self, path: Path, most: int) -> None:
-        """`most`: bytes of a file that is read."""
-        self._path, self._most = path, most
+    def __init__(self, path: Path) -> None:
+        """The thread starts here, before the loop takes a priority that it would inherit."""
+        self.path = path
         self._failed = False
-        self._writer: threading.Thread | None = None
+        self._next: Callable[[], Arrays] | None = None  # until it is written
+        self._last: Callable[[], Arrays | None] | None = None
+        self._wake = threading.Event()
+        # a disk that hangs must not keep the daemon from ending
+        self._writer = threading.Thread(target=self._run, name=path.name, daemon=True)
+        self._writer.start()
 
-    def read(self, take: Callable[[bytes], None], cost: str) -> None:
-        """Have the content taken, if there is any. Where it cannot be, which `take` says by a
-        ValueError, that is warned of, with its `cost`."""
+    def read(self) -> Arrays:
+        """The content; {} where there is none, or none that can be used, which is warned of."""
         try:
-            with opened(self._path, self._most) as file:
-                take(file.read(self._most))
+            with opened(self.path, MAX_BYTES) as file:
+                data = io.BytesIO(file.read(MAX_BYTES))
+            with zipfile.ZipFile(data) as whole:
+                if whole.testzip() is not None:
+                    raise ValueError
+            data.seek(0)
+            with np.load(data, allow_pickle=False) as arrays:
+                return dict(arrays)
         except FileNotFoundError:
-            return
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else error
-            log.warning("%s: not used, %s; %s", self._path, reason, cost)
+            return {}
+        except OSError as error:
+            self.warn(error.strerror or str(error))
+        except Exception:  # exceptions of zip, zlib and numpy's headers share no base
+            self.warn("it is damaged")
+        return {}
+
+    def warn(self, reason: str) -> None:
+        """Say why the content, or a part of it, is not used."""
+        log.warning("%s: not used, %s", self.path, reason)
 
     @property
     def is_busy(self) -> bool:
         """Whether the disk has not taken the last content yet."""
-        return self._writer is not None and self._writer.is_alive()
+        return self._next is not None
 
-    def write(self, make: Callable[[], bytes]) -> None:
-        """Write what is made, unless the disk is busy."""
+    def write(self, make: Callable[[], Arrays]) -> None:
+        """Have the content that `make` makes written, unless the disk is busy. The thread calls
+        `make`, so that the caller does not wait for it."""
         if not self.is_busy:
-            # a disk that hangs must not keep the daemon from ending
-            self._writer = threading.Thread(
-                target=lambda: self._write(make()), name=self._path.name, daemon=True
-            )
-            self._writer.start()
+            self._next = make
+            self._wake.set()
 
-    def close(self, make: Callable[[], bytes] | None) -> None:
+    def close(self, make: Callable[[], Arrays | None]) -> None:
         """Write the last content, if there is any, unless the disk does not take it in time."""
-        self._wait()
-        if make is not None:
-            self.write(make)
-            self._wait()
+        self._last = make
+        self._wake.set()
+        self._writer.join(CLOSE_S)
 
-    def _wait(self) -> None:
-        if self._writer is not None:
-            self._writer.join(CLOSE_S)
+    def _run(self) -> None:
+        while self._last is None:
+            self._wake.wait()
+            self._wake.clear()
+            if self._next is not None:
+                self._save(self._next())
+                self._next = None
+        if (last := self._last()) is not None:
+            self._save(last)
 
-    def _write(self, data: bytes) -> None:
+    def _save(self, arrays: Arrays) -> None:
         """In place of the file, or of a link, which is not followed."""
-        beside = self._path.with_suffix(".new")
+        beside = self.path.with_suffix(".new")
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self.path.parent.mkdir(parents=True, exist_ok=True)
             beside.unlink(missing_ok=True)
             with beside.open("xb") as file:
-                file.write(data)
+                np.savez(file, allow_pickle=False, **arrays)
                 file.flush()
                 os.fsync(file.fileno())
-            beside.replace(self._path)
+            beside.replace(self.path)
         except OSError as error:
             if not self._failed:
-                log.warning("%s: not written (%s)", self._path, error.strerror)
+                log.warning("%s: not written (%s)", self.path, error.strerror)
             self._failed = True

@@ -18,10 +18,10 @@ from taxeld.service import health, realtime
 from taxeld.service.clock import WallClock
 from taxeld.service.doorkeeper import Doorkeeper, settings_of
 from taxeld.service.inputs import Inputs
+from taxeld.service.kept import Store
 from taxeld.service.notify import Notifier
 from taxeld.service.prepare import digest, prepared, robot_of
 from taxeld.service.publisher import LoopCounters, Publisher
-from taxeld.service.restarts import Restarts
 from taxeld.service.ticker import ALL, Ready, Ticker, wait
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
@@ -62,7 +62,7 @@ class Daemon:
             self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
             self._next_look_s = 0.0
             self.inputs = Inputs(made, robot)
-            self.kept = Restarts(self.config, self.pipeline)
+            self.kept = Store(self.config, self.pipeline)
             changes = {"tare": self.pipeline.tare, "reset": self._reset}
             self.link = Link(self._info(), self.inputs.on_pose, changes)
             self.link.on_prior = self._on_prior

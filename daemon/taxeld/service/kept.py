@@ -1,0 +1,193 @@
+"""What is kept over restarts: what each skin has learned, and the scans of the belief.
+
+Digests say whose both are. What is old or of another configuration is not used.
+"""
+
+import hashlib
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from taxeld.config.tables import Config
+from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.history import Used
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld.service.kept_file import Arrays, KeptFile
+from taxeld.skin.skin import Skin
+from taxeld.skin.state import SkinState
+
+NAME = "kept.npz"
+VERSION = 1
+EVERY_S, AT_LEAST_S = 60.0, 240.0  # between two writings out of contact; where nothing is new
+BASELINE_S = 43_200.0  # an idle baseline that was stored longer ago is not used
+FUTURE_S = 3600.0  # a time farther ahead was stored by a wrong clock, or is read by one
+OF_TAXELS = "z", "live", "floor", "residue"
+OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd"
+
+
+def directory(config: Config) -> Path | None:
+    """Where the file is; None: nowhere. A replayed session leaves no trace."""
+    if config.source.kind == "replay":
+        return None
+    name = config.skin.state_dir or os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    return Path(name) if name else None
+
+
+def digest(estimator: Estimator) -> str:
+    """16 hex digits of all that scans and their use depend on: objects, layouts, configuration."""
+    made = hashlib.sha256(repr((VERSION, estimator.config, estimator.robot_m)).encode())
+    for known in estimator.known:
+        for each in known.model.links:
+            made.update(each.layout.digest.encode() + each.layout.uid.astype("<i8").tobytes())
+            made.update(repr((each.depth_max_m, each.scene.symmetry)).encode())
+            made.update(np.ascontiguousarray(each.scene.slices).tobytes())
+            made.update(np.ascontiguousarray(each.scene.origin).tobytes())
+    return made.hexdigest()[:16]
+
+
+def scan_arrays(scans: Sequence[Used]) -> Arrays:
+    """Scans as arrays (K, …) of single precision, filled up to the most taxels of a link; the noise
+    is nan where it is not known."""
+    most = max((len(scan.z) for scan, _ in scans), default=0)
+    taxels = np.zeros((len(OF_TAXELS) + len(OF_NOISE), len(scans), most), np.float32)
+    for k, (scan, _) in enumerate(scans):
+        noise = scan.noise or Noise(math.nan)
+        values = [getattr(scan, name) for name in OF_TAXELS]
+        for row, value in zip(
+            taxels, [*values, *(getattr(noise, n) for n in OF_NOISE)], strict=True
+        ):
+            row[k, : len(scan.z)] = value
+    outliers = [math.nan if scan.noise is None else scan.noise.outliers for scan, _ in scans]
+    return {
+        "taxels": taxels,
+        "size": np.array([len(scan.z) for scan, _ in scans], np.int64),
+        "sensor": np.array([scan.sensor for scan, _ in scans]).reshape(-1, 3),
+        "link": np.array([scan.link for scan, _ in scans], np.int64),
+        "number": np.array([number for _, number in scans], np.int64),
+        "outliers": np.array(outliers),
+    }
+
+
+def scans_of(arrays: Arrays) -> list[Used]:
+    """The scans of `scan_arrays`."""
+    of_scans = (arrays[name].tolist() for name in ("size", "link", "number", "outliers"))
+    scans = []
+    for k, (size, link, number, outliers) in enumerate(zip(*of_scans, strict=True)):
+        z, live, floor, residue, *noise = arrays["taxels"][:, k, :size].astype(np.float64)
+        known = None
+        if not math.isnan(outliers):
+            known = Noise(outliers=outliers, **dict(zip(OF_NOISE, noise, strict=True)))
+        sensor = arrays["sensor"][k]
+        scan = Observation(sensor, z, live > 0.0, floor, residue, known, link)
+        scans.append((scan, number))
+    return scans
+
+
+class Store:
+    """The skins and the belief of one run, and their file, if there is a directory to keep it
+    in."""
+
+    def __init__(self, config: Config, pipeline: Pipeline) -> None:
+        """The skins take what they learned before."""
+        place, self._pipeline = directory(config), pipeline
+        self._file = None if place is None else KeptFile(place / NAME)
+        self._found: Arrays = {} if self._file is None else self._file.read()
+        if self._file and self._found and self._found.get("version") != VERSION:
+            self._file.warn("it is of another version: skin and object are learned again")
+            self._found = {}
+        self._estimator = pipeline.estimator if pipeline.believing else None
+        self._keep_s = config.filter.keep_s if config.filter.motion == "none" else 0.0
+        self._digest = digest(self._estimator) if self._estimator and self._keep_s else ""
+        self._written_s, self._changes, self._captures = -math.inf, 0, 0
+        self._is_forgotten = False
+        for k, stage in enumerate(pipeline.stages):
+            self._restore(k, stage.skin)
+
+    def _restore(self, link: int, skin: Skin) -> None:
+        """The taxels' responses last longer than the baseline."""
+        stored = _part(f"skin{link}.", self._found)
+        if not stored or self._file is None:
+            return
+        values = {name: value if value.ndim else value.item() for name, value in stored.items()}
+        state = SkinState(**values)  # type: ignore[arg-type]
+        if state.digest != skin.digest:
+            self._file.warn("it is of another skin: the idle baseline is learned again")
+            return
+        age_s = time.time() - state.t
+        is_fresh = -FUTURE_S <= age_s <= BASELINE_S
+        skin.restore(state, baseline=is_fresh)
+        if not is_fresh:
+            hours = age_s / 3600.0
+            self._file.warn(f"it is {hours:.1f} h old: the idle baseline is learned again")
+
+    def restore_belief(self) -> None:
+        """Have the belief learn again from what an earlier run felt."""
+        stored = _part("belief.", self._found)
+        self._found = {name: self._found[name] for name in self._found if name.startswith("skin")}
+        if not stored or self._file is None or not self._digest:
+            return
+        age_s = time.time() - stored["t"].item()
+        if stored["digest"].item() != self._digest:
+            why = "it is of another scene, skin or configuration"
+        elif not -FUTURE_S <= age_s <= self._keep_s:
+            why = f"it is {age_s:.0f} s old (filter.keep_s)"
+        else:
+            self._pipeline.restore(scans_of(stored))
+            return
+        self._file.warn(f"{why}: the object is to be found again")
+
+    def keep(self, now_s: float, wall_s: float) -> None:
+        """Have all written if it is time to, at a monotonic and a Unix time. Never blocks."""
+        if self._file is None or self._file.is_busy:
+            return
+        changes = 0 if self._estimator is None else self._estimator.history.changes
+        captures = sum(stage.skin.captures for stage in self._pipeline.stages)
+        if not self._is_forgotten:
+            wait_s = EVERY_S if changes != self._changes else AT_LEAST_S
+            is_due = captures != self._captures or now_s >= self._written_s + wait_s
+            if not is_due or not (captures or changes) or self._pipeline.is_touched:
+                return
+        self._written_s, self._changes, self._captures = now_s, changes, captures
+        self._is_forgotten = False
+        self._file.write(self._content(wall_s))
+
+    def forget_belief(self) -> None:
+        """All touches are forgotten, which the next `keep` writes, during a contact as well."""
+        self._is_forgotten = True
+
+    def close(self) -> None:
+        """Write the last of all, unless the disk does not take it in time."""
+        if self._file is None:
+            return
+        content = self._content(time.time())
+        must = self._written_s > -math.inf or self._is_forgotten
+        self._file.close(lambda: content() or ({} if must else None))
+
+    def _content(self, t: float) -> Callable[[], Arrays]:
+        """Makes the content of Unix time t, from what does not change any more. A skin that is not
+        ready yet keeps what was stored of it."""
+        states = [self._pipeline.skin_state(k) for k in range(len(self._pipeline.stages))]
+        scans = self._estimator.history.kept() if self._estimator and self._digest else []
+
+        def made() -> Arrays:
+            found: Arrays = {"version": np.array(VERSION)} if scans or any(states) else {}
+            for k, state in enumerate(states):
+                values = _part(f"skin{k}.", self._found) if state is None else asdict(state)
+                found |= {f"skin{k}.{name}": np.asarray(value) for name, value in values.items()}
+            if scans:
+                belief = scan_arrays(scans) | {"t": np.array(t), "digest": np.array(self._digest)}
+                found |= {f"belief.{name}": value for name, value in belief.items()}
+            return found
+
+        return made
+
+
+def _part(prefix: str, arrays: Arrays) -> Arrays:
+    return {name[len(prefix) :]: arrays[name] for name in arrays if name.startswith(prefix)}

@@ -1,0 +1,384 @@
+"""What skins and beliefs have learned, kept over restarts."""
+
+import io
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taxeld.config.file import parse
+from taxeld.config.tables import SkinConfig
+from taxeld.estimator.estimate import Estimate, Status
+from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.history import MOVED, Used
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
+from taxeld.service import kept, kept_file
+from taxeld.service.kept import NAME, Store, directory, scan_arrays, scans_of
+from taxeld.skin.skin import Skin
+from taxeld.skin.state import SkinState
+from tests.rig.clocks import until
+from tests.rig.pressed_box import TRUTH, World, estimator
+from tests.rig.simulated_skin import SimulatedSkin
+
+SIDES = (0.2, 1.3, 2.9, 4.5, 3.6, 5.2)
+DAY_S = 86_400.0
+
+
+@dataclass
+class Run:
+    """One run of a daemon's skin and belief, as far as they are kept."""
+
+    place: Path
+    skin: Skin
+    estimator: Estimator
+    is_touched: bool = False
+    believing: bool = True
+
+    def __post_init__(self) -> None:
+        text = f'[source]\nkind = "can"\nchannel = "can0"\n[skin]\nstate_dir = "{self.place}"\n'
+        self.stages = [SimpleNamespace(skin=self.skin)]
+        self.store = Store(parse(text), self)  # type: ignore[arg-type]
+
+    def skin_state(self, _: int) -> SkinState | None:
+        state = self.skin.state()
+        return None if state is None else replace(state, t=time.time())
+
+    def restore(self, scans: list[Used]) -> None:
+        self.estimator.restore(scans)
+
+    def end(self) -> None:
+        self.store.close()
+
+
+Begin = Callable[..., Run]
+
+
+@pytest.fixture
+def begin(skin: Layout, box_model: ObservationModel, tmp_path: Path) -> Iterator[Begin]:
+    """Begins runs on one directory, one after another."""
+    runs: list[Run] = []
+
+    def begun(**keys: Any) -> Run:
+        runs.append(Run(tmp_path / "state", Skin(skin, SkinConfig()), estimator(box_model, **keys)))
+        return runs[-1]
+
+    yield begun
+    for run in runs:
+        run.end()
+
+
+def felt(run: Run) -> tuple[SimulatedSkin, World]:
+    """What a run that has learned its skin has felt of the box."""
+    simulated, world = SimulatedSkin(run.skin.layout), World(run.estimator.model)
+    simulated.run(run.skin, 4.0)
+    for side in SIDES:
+        world.press(run.estimator, side)
+    return simulated, world
+
+
+def near(found: Estimate, truth: np.ndarray) -> bool:
+    return bool(np.hypot(*(found.map - truth)[:2]) < 0.005)
+
+
+def at(monkeypatch: pytest.MonkeyPatch, later_s: float) -> None:
+    """From now on the Unix clock is so much later."""
+    clock = time.time
+    monkeypatch.setattr(kept.time, "time", lambda: clock() + later_s)
+
+
+def test_a_restarted_skin_and_belief_know_what_they_knew(begin: Begin) -> None:
+    before = begin()
+    simulated, world = felt(before)
+    before.end()
+    assert [path.name for path in before.place.iterdir()] == [NAME]
+    after = begin()
+    activation = after.skin.on_scan(simulated.scan())
+    assert activation is not None
+    assert np.abs(after.skin.baseline - before.skin.baseline).max() < 0.01
+    after.store.restore_belief()
+    waits = after.estimator.estimate
+    assert near(waits, TRUTH)
+    assert waits.contacts == before.estimator.estimate.contacts
+    assert waits.status is not Status.CONVERGED
+    assert waits.hypotheses.moved == pytest.approx(MOVED, abs=0.01)
+    for side in (2.0, *SIDES):
+        found = world.press(after.estimator, side)
+        if found.status is Status.CONVERGED:
+            break
+    assert found.status is Status.CONVERGED
+    assert near(found, TRUTH)
+
+
+def test_an_object_that_was_moved_meanwhile_is_not_believed_to_stand(begin: Begin) -> None:
+    before = begin()
+    _, world = felt(before)
+    before.end()
+    after = begin()
+    after.store.restore_belief()
+    world.truth = se2.compose(TRUTH, np.array([0.08, 0.03, 0.4]))
+    for side in SIDES * 2:
+        found = world.press(after.estimator, side)
+        assert found.status is not Status.CONVERGED or near(found, world.truth)
+        if found.status is Status.CONVERGED:
+            break
+    assert found.status is Status.CONVERGED
+
+
+def test_scans_with_and_without_noise_of_links_of_two_sizes_come_back() -> None:
+    one = Observation(np.array([1.0, 2.0, 3.0]), np.zeros(3), np.ones(3, bool), 0.25)
+    own = Noise(np.full(2, 0.5), np.full(2, 0.25), 0.125)
+    two = Observation(np.zeros(3), np.array([0.5, 0.0]), np.array([True, False]), noise=own, link=1)
+    (first, number), (second, _) = scans_of(scan_arrays([(one, 3), (two, 4)]))
+    assert (number, first.noise, first.link, second.link) == (3, None, 0, 1)
+    assert first.floor == pytest.approx(np.full(3, 0.25))
+    assert second.noise is not None
+    assert second.noise.sigma == pytest.approx(np.full(2, 0.5))
+    assert second.noise.outliers == 0.125
+    assert second.live.tolist() == [True, False]
+    assert scans_of(scan_arrays([])) == []
+
+
+@pytest.mark.parametrize(
+    ("later_s", "keys", "says"),
+    [
+        (1000.0, {}, ["1000 s old (filter.keep_s): the object is to be found again"]),
+        (1.0, {"seed": 12_345}, ["it is of another scene, skin or configuration: the object is"]),
+        (DAY_S, {}, ["24.0 h old: the idle baseline is learned again", "s old (filter.keep_s)"]),
+        (-DAY_S, {}, ["-24.0 h old: the idle baseline is learned again", "s old (filter.keep_s)"]),
+    ],
+)
+def test_what_is_old_or_of_another_configuration_is_not_used_and_each_part_says_so(
+    begin: Begin,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    later_s: float,
+    keys: dict[str, Any],
+    says: list[str],
+) -> None:
+    before = begin()
+    simulated, _ = felt(before)
+    before.end()
+    at(monkeypatch, later_s)
+    with caplog.at_level(logging.WARNING):
+        after = begin(**keys)
+        after.store.restore_belief()
+    assert len(caplog.messages) == len(says)
+    assert all(part in line for part, line in zip(says, caplog.messages, strict=True))
+    assert after.estimator.estimate.contacts == 0
+    is_known = after.skin.on_scan(simulated.scan()) is not None
+    assert is_known == (abs(later_s) < DAY_S)
+
+
+def stored(run: Run) -> dict[str, Any]:
+    """The arrays of the file as it is; none where there is no file."""
+    try:
+        with np.load(run.place / NAME) as arrays:
+            return dict(arrays)
+    except FileNotFoundError:
+        return {}
+
+
+def test_what_is_reset_is_forgotten_by_the_next_pass_during_a_contact_as_well(
+    begin: Begin,
+) -> None:
+    run = begin()
+    felt(run)
+    run.store.keep(60.0, time.time())
+    until(lambda: "belief.taxels" in stored(run))
+    run.estimator.reset()
+    run.store.forget_belief()
+    run.is_touched = True
+    until(lambda: "belief.taxels" not in stored(run), lambda: run.store.keep(60.1, time.time()))
+    assert "skin0.baseline" in stored(run)
+
+
+def test_a_skin_that_is_not_ready_keeps_what_was_stored_of_it(begin: Begin) -> None:
+    before = begin()
+    felt(before)
+    before.end()
+    after = begin()
+    after.end()
+    assert stored(after)["skin0.baseline"] == pytest.approx(before.skin.baseline)
+
+
+@pytest.fixture(scope="module")
+def whole(
+    box_model: ObservationModel, skin: Layout, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[], bytes]:
+    """A file of a skin and of a belief; hypothesis prints a function by its name alone."""
+    run = Run(tmp_path_factory.mktemp("kept"), Skin(skin, SkinConfig()), estimator(box_model))
+    felt(run)
+    run.end()
+    file = (run.place / NAME).read_bytes()
+    return lambda: file
+
+
+@given(at=st.integers(0, 10**6), damage=st.binary(min_size=1, max_size=40), cut=st.booleans())
+def test_a_file_with_any_damage_is_not_used_or_as_it_was(
+    whole: Callable[[], bytes],
+    tmp_path_factory: pytest.TempPathFactory,
+    at: int,
+    damage: bytes,
+    *,
+    cut: bool,
+) -> None:
+    whole_file = whole()
+    at %= len(whole_file)
+    path = tmp_path_factory.getbasetemp() / "damaged.npz"
+    path.write_bytes(whole_file[:at] + damage + (b"" if cut else whole_file[at + len(damage) :]))
+    file = kept_file.KeptFile(path)
+    found = file.read()
+    file.close(lambda: None)
+    with np.load(io.BytesIO(whole_file)) as arrays:
+        assert found.keys() in (set(), set(arrays))
+        assert all(found[name].tobytes() == arrays[name].tobytes() for name in found)
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (Path.mkdir, "it is no regular file"),
+        (os.mkfifo, "it is no regular file"),
+        (lambda path: path.write_bytes(b""), "it is damaged"),
+        (lambda path: path.write_bytes(b" " * (kept_file.MAX_BYTES + 1)), "it is larger than 64"),
+        (lambda path: np.savez(path, version=0), "it is of another version"),
+    ],
+    ids=["a directory", "a pipe", "empty", "huge", "another version"],
+)
+def test_what_cannot_be_used_is_one_warning_and_keeps_nobody_waiting(
+    begin: Begin, tmp_path: Path, caplog: pytest.LogCaptureFixture, make: Any, reason: str
+) -> None:
+    (tmp_path / "state").mkdir()
+    make(tmp_path / "state" / NAME)
+    run = begin()
+    run.store.restore_belief()
+    (line,) = caplog.messages
+    assert f"{NAME}: not used, {reason}" in line
+    simulated = SimulatedSkin(run.skin.layout)
+    simulated.run(run.skin, 2.0)
+
+
+def test_the_file_is_written_through_no_link(begin: Begin, tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("by hand", encoding="utf-8")
+    (tmp_path / "state").mkdir()
+    for name in (NAME, "kept.new"):
+        (tmp_path / "state" / name).symlink_to(victim)
+    run = begin()
+    felt(run)
+    run.end()
+    assert victim.read_text(encoding="utf-8") == "by hand"
+    assert [(path.name, path.is_symlink()) for path in run.place.iterdir()] == [(NAME, False)]
+
+
+def test_writing_is_seldom_and_waits_for_the_end_of_a_touch(
+    begin: Begin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = begin()
+    simulated, offered = SimulatedSkin(run.skin.layout), []
+    monkeypatch.setattr(kept_file.KeptFile, "write", lambda *_: offered.append(now_s))
+    for k in range(20 * 400):
+        now_s = 0.05 * k
+        simulated.press[3] = 5_000.0 if 230.0 < now_s < 290.0 else 0.0
+        run.skin.on_scan(simulated.scan())
+        run.is_touched = run.skin.touched
+        run.store.keep(now_s, time.time())
+    first, later = offered
+    assert first == pytest.approx(1.0, abs=0.06)  # the end of the capture
+    assert later == pytest.approx(290.0, abs=0.3)
+
+
+def test_a_slow_disk_holds_nothing_up_and_gets_the_newest(
+    begin: Begin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free, syncing, writings = threading.Event(), threading.Event(), []
+
+    def slow(descriptor: int) -> None:
+        writings.append(descriptor)
+        syncing.set()
+        assert free.wait(30.0)
+
+    monkeypatch.setattr(os, "fsync", slow)
+    run = begin()
+    simulated, _ = felt(run)
+    run.store.keep(0.0, time.time())
+    assert syncing.wait(30.0)
+    for k in range(1, 50):
+        simulated.run(run.skin, 0.05)
+        run.store.keep(k * kept.AT_LEAST_S, time.time())
+    assert not stored(run)
+    free.set()
+    run.end()
+    assert len(writings) <= 3
+    assert stored(run)["skin0.baseline"] == pytest.approx(run.skin.baseline)
+
+
+def test_a_disk_that_hangs_does_not_keep_the_daemon_from_ending(
+    begin: Begin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept_file, "CLOSE_S", 0.05)
+    free = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda _: free.wait(30.0))
+    run = begin()
+    felt(run)
+    run.end()
+    assert not stored(run)
+    free.set()
+
+
+def test_a_disk_that_takes_nothing_is_one_warning(
+    begin: Begin, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    tried: list[int] = []
+
+    def full(descriptor: int) -> None:
+        tried.append(descriptor)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    run = begin()
+    felt(run)
+    for failed in (1, 2):
+        run.store.keep(failed * 1e3, time.time())
+        until(lambda failed=failed: len(tried) == failed)  # type: ignore[misc]
+        until(lambda: not run.store._file.is_busy)  # type: ignore[union-attr]
+    run.end()
+    (line,) = caplog.messages
+    assert line.endswith("not written (No space left on device)")
+    assert not stored(run)
+
+
+def test_the_writer_runs_before_the_loop_takes_its_priority(begin: Begin) -> None:
+    names = [thread.name for thread in threading.enumerate()]
+    begin()
+    assert [t.name for t in threading.enumerate()].count(NAME) == names.count(NAME) + 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "variable", "where"),
+    [
+        ("can", "", "", None),
+        ("can", "", "/var/lib/taxeld/a:/var/lib/b", "/var/lib/taxeld/a"),
+        ("can", '[skin]\nstate_dir = "/tmp/c"\n', "/var/lib/a", "/tmp/c"),  # noqa: S108
+        ("replay", "", "/var/lib/a", None),
+    ],
+)
+def test_the_place_is_the_configured_one_or_systemds(
+    monkeypatch: pytest.MonkeyPatch, kind: str, text: str, variable: str, where: str | None
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", variable)
+    source = f'[source]\nkind = "{kind}"\nchannel = "can0"\npath = "."\n[scene]\nbundle = "box"\n'
+    assert directory(parse(source + text)) == (Path(where) if where else None)
