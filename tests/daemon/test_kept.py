@@ -197,11 +197,11 @@ def test_what_is_reset_is_forgotten_by_the_next_pass_during_a_contact_as_well(
     run = begin()
     felt(run)
     run.store.keep(60.0, time.time())
-    until(lambda: "belief.taxels" in stored(run))
+    until(lambda: "belief.z" in stored(run))
     run.estimator.reset()
     run.store.forget_belief()
     run.is_touched = True
-    until(lambda: "belief.taxels" not in stored(run), lambda: run.store.keep(60.1, time.time()))
+    until(lambda: "belief.z" not in stored(run), lambda: run.store.keep(60.1, time.time()))
     assert "skin0.baseline" in stored(run)
 
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +29,8 @@ VERSION = 1
 EVERY_S, AT_LEAST_S = 60.0, 240.0  # between two writings out of contact; where nothing is new
 BASELINE_S = 43_200.0  # an idle baseline that was stored longer ago is not used
 FUTURE_S = 3600.0  # a time farther ahead was stored by a wrong clock, or is read by one
-OF_TAXELS = "z", "live", "floor", "residue"
 OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd"
+OF_TAXELS = "z", "live", "floor", "residue", *OF_NOISE
 
 
 def directory(config: Config) -> Path | None:
@@ -56,37 +57,33 @@ def scan_arrays(scans: Sequence[Used]) -> Arrays:
     """Scans as arrays (K, …) of single precision, filled up to the most taxels of a link; the noise
     is nan where it is not known."""
     most = max((len(scan.z) for scan, _ in scans), default=0)
-    taxels = np.zeros((len(OF_TAXELS) + len(OF_NOISE), len(scans), most), np.float32)
+    # an array each: a large one would hold the loop up while numpy copies it
+    found: Arrays = {name: np.zeros((len(scans), most), np.float32) for name in OF_TAXELS}
+    found["number"] = np.array([number for _, number in scans], np.int64)
+    found |= {name: np.zeros(len(scans), np.int64) for name in ("size", "link")}
+    found |= {"sensor": np.zeros((len(scans), 3)), "outliers": np.zeros(len(scans))}
     for k, (scan, _) in enumerate(scans):
-        noise = scan.noise or Noise(math.nan)
-        values = [getattr(scan, name) for name in OF_TAXELS]
-        for row, value in zip(
-            taxels, [*values, *(getattr(noise, n) for n in OF_NOISE)], strict=True
-        ):
-            row[k, : len(scan.z)] = value
-    outliers = [math.nan if scan.noise is None else scan.noise.outliers for scan, _ in scans]
-    return {
-        "taxels": taxels,
-        "size": np.array([len(scan.z) for scan, _ in scans], np.int64),
-        "sensor": np.array([scan.sensor for scan, _ in scans]).reshape(-1, 3),
-        "link": np.array([scan.link for scan, _ in scans], np.int64),
-        "number": np.array([number for _, number in scans], np.int64),
-        "outliers": np.array(outliers),
-    }
+        noise, size = scan.noise or Noise(math.nan, outliers=math.nan), len(scan.z)
+        found["size"][k], found["link"][k], found["sensor"][k] = size, scan.link, scan.sensor
+        found["outliers"][k] = noise.outliers
+        for name in OF_TAXELS:
+            found[name][k, :size] = getattr(noise if name in OF_NOISE else scan, name)
+    return found
 
 
 def scans_of(arrays: Arrays) -> list[Used]:
     """The scans of `scan_arrays`."""
-    of_scans = (arrays[name].tolist() for name in ("size", "link", "number", "outliers"))
     scans = []
-    for k, (size, link, number, outliers) in enumerate(zip(*of_scans, strict=True)):
-        z, live, floor, residue, *noise = arrays["taxels"][:, k, :size].astype(np.float64)
-        known = None
-        if not math.isnan(outliers):
-            known = Noise(outliers=outliers, **dict(zip(OF_NOISE, noise, strict=True)))
-        sensor = arrays["sensor"][k]
-        scan = Observation(sensor, z, live > 0.0, floor, residue, known, link)
-        scans.append((scan, number))
+    for k, (size, number) in enumerate(zip(arrays["size"], arrays["number"], strict=True)):
+        own: dict[str, Any] = {
+            name: arrays[name][k, :size].astype(np.float64) for name in OF_TAXELS
+        }
+        noise = {name: own.pop(name) for name in OF_NOISE}
+        outliers = arrays["outliers"][k].item()
+        known = None if math.isnan(outliers) else Noise(outliers=outliers, **noise)
+        own["live"] = own["live"] > 0.0
+        link, sensor = arrays["link"][k].item(), arrays["sensor"][k]
+        scans.append((Observation(sensor, **own, noise=known, link=link), number.item()))
     return scans
 
 
