@@ -237,7 +237,7 @@ class File(recorders.FileIO):
         return int(super().write(data[:taken]))
 
 
-def test_a_full_disk_ends_the_recording_and_not_who_records(
+def test_a_full_disk_is_waited_for_and_costs_nothing_once_it_has_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     disk = Disk(monkeypatch)
@@ -248,11 +248,32 @@ def test_a_full_disk_ends_the_recording_and_not_who_records(
         disk.free = 70  # one line and a half
         for number in range(1, 6):
             recorder.take(frame(number))
-        until(lambda: recorder.counters.failed)
+        until(lambda: len(caplog.messages) == 1)
         recorder.take(frame(6))
-    assert recorder.counters.dropped == 6
-    assert len(caplog.messages) == 1
-    assert "No space left on device" in caplog.messages[0]
+        disk.free = 10**9
+        until(lambda: recorder.counters.frames == 7)
+    assert recorder.counters.dropped == 0
+    assert caplog.messages == [
+        f"{tmp_path}/s: the recording waits (No space left on device)",
+        f"{tmp_path}/s: the recording goes on",
+    ]
+    assert session.read(tmp_path / "s") == Session([frame(number) for number in range(7)], [])
+
+
+def test_a_disk_that_stays_full_ends_the_recording_with_its_last_whole_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    disk = Disk(monkeypatch)
+    with Recorder(tmp_path / "s", moves=False) as recorder:
+        recorder.take(frame(0))
+        until(lambda: recorder.counters.frames == 1)
+        disk.free = 70  # one line and a half
+        recorder.take(frame(1))
+        recorder.take(frame(2))
+        until(lambda: len(caplog.messages) == 1)
+    assert recorder.counters.failed
+    assert recorder.counters.dropped == 2
+    assert "the recording has ended (No space left on device)" in caplog.messages[-1]
     assert session.read(tmp_path / "s") == Session([frame(0), frame(1)], [])
 
 

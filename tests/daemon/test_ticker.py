@@ -1,6 +1,8 @@
 """When the loop's passes are due, on a fake clock."""
 
 import contextlib
+import fcntl
+import resource
 import socket
 import time
 
@@ -137,3 +139,14 @@ def test_who_speaks_ends_the_wait_and_is_named() -> None:
             assert wait([device], door, time.monotonic() + SOON_S) == ready
         assert wait([None], door, time.monotonic() + SOON_S) == Ready(door=True)
         assert wait([Mute()], None, time.monotonic() + 0.001) == Ready()
+
+
+def test_a_descriptor_of_any_number_can_be_waited_for() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    with contextlib.ExitStack() as opened:
+        device, skin = (opened.enter_context(end) for end in socket.socketpair())
+        high = opened.enter_context(socket.socket(fileno=fcntl.fcntl(device, fcntl.F_DUPFD, 1200)))
+        skin.send(b"x")
+        assert wait([high], None, time.monotonic() + SOON_S) == Ready(device=True)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

@@ -28,8 +28,12 @@ ALL = Ready(device=True, door=True)
 def wait(devices: Sequence[Readable | None], door: Readable | None, until_s: float) -> Ready:
     """Sleep until one of the inputs is ready, at most until the monotonic time `until_s`."""
     numbers = [-1 if each is None else each.fileno() for each in (door, *devices)]
-    left_s = max(0.0, until_s - time.monotonic())
-    found = select.select([number for number in numbers if number >= 0], (), (), left_s)[0]
+    poll = select.poll()  # `select` knows no descriptor over 1023
+    for number in numbers:
+        if number >= 0:
+            poll.register(number, select.POLLIN)
+    left_ms = max(0.0, 1e3 * (until_s - time.monotonic()))
+    found = {number for number, _ in poll.poll(left_ms)}
     return Ready(any(number in found for number in numbers[1:]), numbers[0] in found)
 
 

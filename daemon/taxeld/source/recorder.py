@@ -3,11 +3,12 @@
 The files are made when the first record comes, each of them anew: a file or a link of that name is
 never written to. Files are only appended to, whole records at a time; the bytes of a serial line
 come before the rows that date them. However a recording ends, `session.read` finds all but its last
-moment. A slow disk costs records, which are counted; a full one ends the recording, never the
-caller.
+moment. A disk that is slow or full is waited for, and costs records, which are counted; another
+fault of it ends the recording, never the caller.
 """
 
 import contextlib
+import errno
 import logging
 import os
 import threading
@@ -41,6 +42,7 @@ SYNC_S = 5.0  # time that a power cut may cost
 CLOSE_S = 5.0  # time for the last writing
 BATCH = 500  # records formatted and written at once
 WAITING_BYTES = 16_000_000  # bytes that may wait for the disk: 10 s of a full bus
+PASSING = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # faults of a disk that may end
 RECORD_BYTES = 200  # memory of a record beside its data, roughly
 HEADERS = {
     ABOUT: f"version = {VERSION}\n",
@@ -142,7 +144,7 @@ class Recorder:
         )
 
     def _run(self) -> None:
-        with contextlib.closing(_Files(self._directory)) as files:
+        with contextlib.closing(_Files(self._directory, self._closing)) as files:
             try:
                 self._write_all(files)
             except OSError as error:
@@ -208,9 +210,10 @@ class Recorder:
 class _Files:
     """The files of a session, made anew in the directory as they are first appended to."""
 
-    def __init__(self, directory: Path) -> None:
-        self._directory = directory
+    def __init__(self, directory: Path, closing: threading.Event) -> None:
+        self._directory, self._closing = directory, closing
         self._open: dict[str, FileIO] = {}
+        self._is_full = False
 
     def append(self, name: str, data: bytes | bytearray) -> None:
         """Append all of the data, after the header in a new file. Raises OSError."""
@@ -221,12 +224,32 @@ class _Files:
             data = HEADERS.get(name, "").encode() + data
         rest = memoryview(data)
         while rest:  # a nearly full disk takes a part, and then refuses the rest
-            rest = rest[self._open[name].write(rest) :]
+            try:
+                rest = rest[self._open[name].write(rest) :]
+            except OSError as error:
+                self._wait(error)
+        if self._is_full:
+            log.warning("%s: the recording goes on", self._directory)
+        self._is_full = False
+
+    def _wait(self, error: OSError) -> None:
+        """Wait a moment for a disk whose fault may pass. Raises the error where it may not, or when
+        the recording is to end."""
+        if error.errno not in PASSING:
+            raise error
+        if not self._is_full:
+            log.warning("%s: the recording waits (%s)", self._directory, error.strerror)
+        self._is_full = True
+        if self._closing.wait(PAUSE_S):
+            raise error
 
     def sync(self) -> None:
         """Flush the files to the disk. Raises OSError."""
         for file in self._open.values():
-            os.fsync(file.fileno())
+            try:
+                os.fsync(file.fileno())
+            except OSError as error:
+                self._wait(error)
 
     def close(self) -> None:
         for file in self._open.values():
