@@ -124,10 +124,14 @@ def test_all_faults_are_found_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["a = ", "a = " + "[" * 100_000, f"a = {'9' * 5000}", "a = '\0'", "a = 2026-13-01"]
+    "text",
+    [
+        *("a = ", "a = " + "[" * 100_000, f"a = {'9' * 5000}", "a = '\0'", "a = 2026-13-01"),
+        *(f"{'a.' * 30_000}a = 1", f"[{'a.' * 30_000}a]"),
+    ],
 )
 def test_what_is_not_toml_is_one_line(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"^x\.toml: not TOML: [^\n]+$"):
+    with pytest.raises(ConfigError, match=r"^x\.toml: (not TOML: |line 1: a key of more)[^\n]+$"):
         parse(text, "x.toml")
 
 

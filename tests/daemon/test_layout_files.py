@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -238,9 +239,10 @@ class TestRobotskinlib:
         with pytest.raises(SetupError, match=words):
             layouts.load(str(file))
 
-    def test_a_directory_is_no_layout(self, tmp_path):
-        (tmp_path / "skin.json").mkdir()
-        with pytest.raises(SetupError, match="no such file"):
+    @pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+    def test_a_directory_or_a_pipe_is_no_layout(self, tmp_path, make):
+        make(tmp_path / "skin.json")
+        with pytest.raises(SetupError, match="it is no regular file"):
             layouts.load(str(tmp_path / "skin.json"))
 
     def test_a_flat_patch_can_be_read_but_not_run(self, tmp_path):

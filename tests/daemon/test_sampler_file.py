@@ -15,6 +15,7 @@ from taxeld.proposals.sampler import Sampler
 
 SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
 TAXELS = len(SKIN)
+ENDS = ("on_", TensorProto.BOOL, []), ("x_", TensorProto.FLOAT, None)
 Shape = Sequence[int | str]
 ADDED = (helper.make_node("Add", ["flat", "w"], ["poses"]),)
 
@@ -55,6 +56,23 @@ def elsewhere(location: str) -> TensorProto:
     return weight
 
 
+def loop() -> tuple[onnx.NodeProto, ...]:
+    """Nodes that count to 2^62 before they give poses."""
+    given = [
+        helper.make_tensor_value_info("i", TensorProto.INT64, []),
+        helper.make_tensor_value_info("on", TensorProto.BOOL, []),
+        helper.make_tensor_value_info("x", TensorProto.FLOAT, None),
+    ]
+    found = [helper.make_tensor_value_info(name, *kind) for name, *kind in ENDS]
+    nodes = [helper.make_node("Identity", ["on"], ["on_"]), helper.make_node("Abs", ["x"], ["x_"])]
+    body = helper.make_graph(nodes, "body", given, found)
+    times = helper.make_tensor("", TensorProto.INT64, [], [2**62])
+    return (
+        helper.make_node("Constant", [], ["times"], value=times),
+        helper.make_node("Loop", ["times", "", "flat"], ["poses"], body=body),
+    )
+
+
 def sampler(content: bytes) -> Sampler:
     return Sampler(content, SKIN, "density", Path("bundle/own.onnx"))
 
@@ -92,6 +110,7 @@ def test_a_sampler_gives_poses() -> None:
         (graph(ADDED, helper.make_tensor("w", 1, [1], [np.nan])), "no finite poses"),
         (graph(ADDED, helper.make_tensor("w", 1, [3, 1, 1], [0.0] * 3)), ""),
         (graph(ADDED, elsewhere("../secret.bin")), "names other files as its weights"),
+        (graph(loop()), "it has loops or branches"),
     ],
 )
 def test_a_graph_that_is_no_sampler_is_one_line(content: bytes, said: str) -> None:

@@ -1,10 +1,10 @@
 """The configuration file: reading, and checks across keys."""
 
-import errno
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
+from taxeld import files
 from taxeld.config import endpoints, links, toml_tables
 from taxeld.config.tables import SIZES, Config, SceneConfig, SourceConfig
 from taxeld.config.toml_tables import ConfigError
@@ -40,22 +40,6 @@ def load(path: Path) -> Config:
     return replace(config, skin=skin, scene=scene, links=further)
 
 
-def opened(path: Path, most: int | None = None) -> BinaryIO:
-    """A regular file opened for reading, of at most `most` bytes. Other kinds are refused: a pipe
-    or a device could keep its reader for ever.
-
-    Raises:
-        OSError: it is not regular, too large, or cannot be opened; `strerror` says why.
-    """
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "it is no regular file", str(path))
-    file = path.open("rb")
-    if most is not None and path.stat().st_size > most:
-        file.close()
-        raise OSError(errno.EFBIG, f"it is larger than {most} bytes", str(path))
-    return file
-
-
 def text_of(path: Path, most: int = TOML_BYTES) -> str:
     """The text of a TOML file of at most `most` bytes.
 
@@ -63,8 +47,7 @@ def text_of(path: Path, most: int = TOML_BYTES) -> str:
         ConfigError: it is unreadable, or too large.
     """
     try:
-        with opened(path, most) as file:
-            return file.read(most).decode("utf-8")
+        return files.read(path, most).decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigError([f"{path}: unreadable configuration ({error})"]) from None
     except OSError as error:

@@ -18,6 +18,7 @@ from taxeld.errors import SetupError, one_line
 T = TypeVar("T")
 
 INTEGER_MAX = 1 << 63  # limit of TOML's own integers
+PARTS = 8  # of a key: tomllib takes time by the square of their number
 KEY_SHOWN = 60  # characters of a key in a message
 
 
@@ -63,6 +64,10 @@ def unwritten(default: Any) -> Any:
 
 def loads(text: str) -> dict[str, Any]:
     """The values of TOML text. Raises ValueError with the fault."""
+    for number, line in enumerate(text.splitlines(), 1):
+        head, equals, _ = line.partition("=")
+        if (equals or line.startswith("[")) and head.count(".") > PARTS and "," not in head:
+            raise ValueError(f"line {number}: a key of more than {PARTS} parts")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

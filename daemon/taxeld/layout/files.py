@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taxeld import files
 from taxeld.arrays import Floats
 from taxeld.layout import normals
 from taxeld.layout.generated import TAXELS_PER_MODULE
@@ -53,13 +54,15 @@ def read(path: Path) -> Patch:
         ValueError: it cannot be read or is no such file: one line with file, place and cure.
     """
     try:
-        if not path.is_file():
+        if not path.exists():
             raise ValueError(f"{path}: no such file; correct the path")
-        text = path.read_text(encoding="utf-8-sig")
+        text = files.read(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError(f"{path}: is not UTF-8 text; name a layout file") from None
     except OSError as error:
-        raise ValueError(f"{path}: unreadable ({error.strerror}); correct its rights") from None
+        raise ValueError(
+            f"{path}: unreadable ({error.strerror}); name a layout file that this user may read"
+        ) from None
     try:
         return READERS[path.suffix.lower()](text)
     except ValueError as error:

@@ -9,6 +9,7 @@ from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
+from taxeld import files
 from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
 from taxeld.proposals.analytic import ANALYTIC
@@ -118,9 +119,9 @@ def parse(text: bytes, path: Path) -> tuple[Manifest, dict[str, Any]]:
 
 
 def read(path: Path) -> bytes:
-    """Raises SetupError where the file is missing or unreadable."""
+    """Raises SetupError where the file is missing, unreadable or too large."""
     try:
-        return path.read_bytes()
+        return files.read(path)
     except OSError as error:
         raise SetupError(f"{path}: {error.strerror}; build the bundle again") from None
 
@@ -131,14 +132,14 @@ def unbroken(path: Path, digests: dict[str, str]) -> dict[str, bytes]:
     Raises:
         SetupError: one is missing, or has another digest.
     """
-    files = {name: read(path / name) for name in digests}
-    for name, data in files.items():
+    found = {name: read(path / name) for name in digests}
+    for name, data in found.items():
         if digest(data) != digests[name]:
             raise SetupError(
                 f"{path / name}: is damaged or was changed: its SHA-256 is not that of "
                 "bundle.json; copy or build the bundle again"
             )
-    return files
+    return found
 
 
 def digest(data: bytes) -> str:

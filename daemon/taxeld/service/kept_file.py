@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.config.file import opened
+from taxeld import files
 
-MAX_BYTES = 64_000_000  # four times the scans of a skin of 5000 taxels
 CLOSE_S = 4.0  # time that the last two writings may take
 
 Arrays = dict[str, NDArray[Any]]
@@ -42,8 +41,7 @@ class KeptFile:
     def read(self) -> Arrays:
         """The content; {} where there is none, or none that can be used, which is warned of."""
         try:
-            with opened(self.path, MAX_BYTES) as file:
-                data = io.BytesIO(file.read(MAX_BYTES))
+            data = io.BytesIO(files.read(self.path))
             with zipfile.ZipFile(data) as whole:
                 if whole.testzip() is not None:
                     raise ValueError

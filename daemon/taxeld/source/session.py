@@ -17,8 +17,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from taxeld import files
 from taxeld.config import toml_tables
-from taxeld.config.file import load, opened
+from taxeld.config.file import load
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld_protocol import array
@@ -151,7 +152,7 @@ class _Lines:
     def __iter__(self) -> Iterator[str]:
         number = 0
         try:
-            with opened(self.path) as file:
+            with files.opened(self.path) as file:
                 while line := file.readline(self._longest):
                     number += 1
                     if line[-1:] != b"\n":
@@ -216,8 +217,7 @@ def _chunks(directory: Path, about: dict[str, Any] | None) -> tuple[list[Chunk],
     if offsets and (offsets[0] != 0 or offsets != sorted(offsets)):
         raise SetupError(f"{lines.path}: its offsets do not begin at 0, or fall")
     try:
-        with opened(path, SERIAL_MAX) as file:
-            data = file.read(SERIAL_MAX)
+        data = files.read(path, SERIAL_MAX)
     except OSError as error:
         raise SetupError(f"{path}: unreadable ({error.strerror}); record it in parts") from None
     every_row = not lines.cut if about is None else about.get("chunks") == len(rows)
