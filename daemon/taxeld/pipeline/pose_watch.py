@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 from taxeld.pipeline.poses import FAR_M
 
-LOOKS = 5  # looks, a second each, over which the rate is taken
+LOOKS = 5  # looks, a second each, over which rate and clock are judged
+SEEN = 3  # looks in a row that must show a fault: a busy machine is late now and then
 OFFSET_S = 0.05  # s between the robot's clock and this one
 SLOW = 0.9  # share of the scans' rate: fewer poses are too few
 STOPPED_S = 1.0  # s without a pose after which they have stopped
@@ -23,7 +24,7 @@ class PoseFigures:
 
     rate_hz: float = 0.0
     age_s: float = NEVER_S  # time since the last pose
-    offset_s: float = 0.0  # least delay of the poses' times behind this clock in the last second
+    offset_s: float = 0.0  # least delay of the poses' times behind this clock in the last looks
     connected: bool = False
 
 
@@ -32,14 +33,14 @@ class PoseWatch:
 
     def __init__(self, endpoint: str, scan_period_s: float) -> None:
         self.figures = PoseFigures()
-        self.fault = ""  # the fault with its cure, once it was seen twice: a robot may start late
+        self.fault = ""  # the fault with its cure, once it was seen SEEN times
         self._endpoint, self._scans_hz = endpoint, 1.0 / scan_period_s
         self._received = self._malformed = 0
         self._is_far = False  # a pose since the last look was
         self._came_s = math.nan
         self._nearest_s = math.inf  # least offset since a look
-        self._found = ""  # fault at the last look
-        self._looks: deque[tuple[float, int]] = deque(maxlen=LOOKS)
+        self._found, self._times = "", 0  # fault at the last look, and how often it was seen
+        self._looks: deque[tuple[float, int, float]] = deque(maxlen=LOOKS)
 
     def add(self, t: float, now: float, *, is_far: bool = False) -> None:
         """A pose of Unix time t has come `now`, used or not; `is_far`: too far from the origin."""
@@ -62,23 +63,26 @@ class PoseWatch:
         *,
         connected: bool,
         refused: bool,
+        is_heard: bool = True,
     ) -> PoseFigures:
         """The figures at the Unix time `now`; the other arguments are from the socket: messages
         that are no poses, and the `reason` of the last, other topics that are heard, and the state
-        of the connection."""
+        of the connection. Without `is_heard` the door hangs, and no fault is the robot's."""
         figures = self.figures
         figures.connected = connected
         figures.age_s = NEVER_S if math.isnan(self._came_s) else max(now - self._came_s, 0.0)
-        self._looks.append((now, self._received))
-        then, before = self._looks[0]
+        self._looks.append((now, self._received, self._nearest_s))
+        then, before, _ = self._looks[0]
         figures.rate_hz = (self._received - before) / (now - then) if now > then else 0.0
-        if math.isfinite(self._nearest_s):
-            figures.offset_s = self._nearest_s
+        offsets = [offset for *_, offset in self._looks if math.isfinite(offset)]
+        figures.offset_s = min(offsets, key=abs, default=figures.offset_s)
         if malformed > self._malformed:
             found = f"messages come and are no poses: {reason}"
         else:
             found = self._judge(topics, is_refused=refused)
-        if found == self._found:
+        found = found if is_heard else ""
+        self._times = self._times + 1 if found == self._found else 1
+        if self._times >= SEEN or not found:
             self.fault = found
         self._found, self._malformed, self._nearest_s = found, malformed, math.inf
         self._is_far = False
@@ -93,7 +97,7 @@ class PoseWatch:
                 return f"nobody serves {at}: start the publisher; it binds, the daemon connects"
             heard = f"only {', '.join(topics)} comes" if topics else "no pose comes"
             return f"connected to {at}, and {heard}: publish /robot/sensor_pose"
-        if abs(figures.offset_s) > OFFSET_S:
+        if len(self._looks) == LOOKS and abs(figures.offset_s) > OFFSET_S:
             return (
                 "their times are not of this machine's clock: send Unix time in seconds, and let "
                 "chrony or PTP keep both clocks"

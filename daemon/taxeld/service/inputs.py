@@ -122,5 +122,5 @@ class Inputs:
         if not self._robot:
             return PoseFigures()
         line = link.report.robot
-        state = {"connected": line.connected, "refused": line.refused}
+        state = {"connected": line.connected, "refused": line.refused, "is_heard": link.is_heard}
         return self.watch.look(t, line.malformed, line.reason, line.topics, **state)

@@ -27,6 +27,7 @@ COUNT_MAX = 2**53
 TEXT_MAX = 500  # characters of a line
 REASON_MAX = 120  # characters of why a message is no pose
 TOPICS_MAX, TOPIC_MAX = 4, 60  # other topics of the robot, and characters of each
+HEARD_S = 1.5  # the same, before what it last reported is no longer taken for the present
 SILENT_S = 5.0  # without a packet for so long, the door hangs
 START_S = 30.0  # the same while a door starts: a busy machine takes seconds for it
 LOOK_MOST_S = 0.5  # silence counted for one look: the loop itself may have been stopped
@@ -95,6 +96,11 @@ class Link:
     def end(self) -> socket.socket | None:
         """The loop's end of the pair, readable when the door has spoken; each door has its own."""
         return self._socket
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether the door speaks: it reports once a second."""
+        return self._silent_s < HEARD_S
 
     def attach(self, end: socket.socket, now_s: float) -> None:
         """A new door; `now_s` is monotonic."""
