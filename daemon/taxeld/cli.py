@@ -154,6 +154,7 @@ def _calibrate(args: argparse.Namespace) -> int:
 
     taxeld calibrate can0.toml --out skin.toml
     taxeld calibrate session --out skin.toml --object 0.40 0.10 1.57
+    taxeld calibrate session --check
     """
     from importlib.metadata import entry_points
 
@@ -282,7 +283,9 @@ def _add_skin(commands: Commands) -> None:
     add = documented(commands, _calibrate).add_argument
     about = "a skin to be pressed now, or recorded"
     add("source", type=Path, metavar="CONFIG|SESSION", help=about)
-    add("--out", type=Path, required=True, metavar="FILE", help="*.toml")
+    add("--out", type=Path, metavar="FILE", help="*.toml")
+    about = "say whether a session's touches agree with the full scale and mount that it had"
+    add("--check", action="store_true", help=about)
     about = "the object's pose in the robot's world [m, m, rad]; without it, found by touch"
     add("--object", type=float, nargs=3, metavar=("X", "Y", "YAW"), help=about)
     add("--config", type=Path, help=OWN_CONFIG)

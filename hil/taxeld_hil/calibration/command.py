@@ -16,6 +16,7 @@ from taxeld.config.file import load
 from taxeld.errors import SetupError
 from taxeld.service import calibration_file
 from taxeld.source import session
+from taxeld_hil.calibration import check
 from taxeld_hil.calibration.calibrate import MOST_LEFT, Result, of_session
 from taxeld_hil.calibration.guided import Guided
 from taxeld_hil.calibration.picture import draw
@@ -24,9 +25,15 @@ _say = partial(print, flush=True)
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 fine, 1 ended before all presses were there. Raises SetupError."""
+    """0 fine, 1 a value is wrong, or ended before all presses were there. Raises SetupError."""
     placed = None if args.object is None else np.array(args.object)
     directory = args.source
+    if args.check:
+        found = check.of_session(directory, session.config_of(directory, args.config))
+        _say("\n".join(found.lines()))
+        return FAILED if found.is_wrong else 0
+    if args.out is None:
+        raise SetupError("--out: is required; name the file to write, or say --check")
     if directory.is_dir():
         config = session.config_of(directory, args.config)
     else:
