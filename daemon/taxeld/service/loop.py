@@ -95,9 +95,7 @@ class Daemon:
         try:
             realtime.trim()
             if self._models:
-                limit_ns = self._touch_ns(hubs=1)
-                cpu = time.thread_time_ns
-                warm_up(self.config, self._models, pipeline.ladder, cpu, limit_ns)
+                warm_up(self.config, self._models, pipeline.samples)
                 self.kept.restore_belief()
             pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
             with realtime.thread(self.config.loop.priority) as self.realtime:
@@ -189,21 +187,15 @@ class Daemon:
                 self._judge_touch(cpu - before)
 
     def _judge_touch(self, took_ns: int) -> None:
-        """Let the ladder know the CPU time of a touch."""
-        ladder = self.pipeline.ladder
-        limit_ns = self._touch_ns(sum(stage.skin.hubs for stage in self.pipeline.stages))
-        if ladder.took(took_ns, limit_ns):
+        """Have fewer samples drawn where touches take more CPU time than there is between scans."""
+        hubs = sum(stage.skin.hubs for stage in self.pipeline.stages)
+        limit_ns = 1e6 * TOUCH_SHARE * self.config.source.period_ms / max(hubs, 1)
+        if self.pipeline.samples.took(took_ns, limit_ns):
             log.warning(
-                "touches take %.0f ms, and have %.0f: samples from now on by %s, %.0f %% of them",
+                "touches take %.0f ms, and have %.0f: half the samples are drawn from now on",
                 took_ns / 1e6,
                 limit_ns / 1e6,
-                ladder.name,
-                100.0 * ladder.rung.share,
             )
-
-    def _touch_ns(self, hubs: int) -> float:
-        """Time that a touch may take of the time between two scans [ns]."""
-        return 1e6 * TOUCH_SHARE * self.config.source.period_ms / max(hubs, 1)
 
     def _look_at_door(self, now_s: float, *, asked: bool) -> None:
         """Take poses, subscriptions and changes; while no scan needs poses, only now and then."""
