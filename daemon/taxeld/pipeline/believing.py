@@ -17,8 +17,8 @@ from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.advising import Advising
 from taxeld.pipeline.calibration_check import CalibrationCheck
 from taxeld.pipeline.stage import LinkStage
+from taxeld.prior import PosePrior
 from taxeld.proposals.samples import Samples
-from taxeld.told import ToldPose
 
 CONTACTS, LEAST_CONTACTS = 12, 4  # contacts of a lesson, and of one before all is forgotten
 
@@ -110,13 +110,13 @@ class Believing:
         self.estimator.restore(scans)
         self._advising.changed()
 
-    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
-        """Take a told pose of the objects numbered `of`, else of any; → why it cannot be taken,
-        empty where it was, or says nothing new."""
+    def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
+        """Take a prior of the objects numbered `of`, else of any; → why it cannot be taken, empty
+        where it was."""
         if self._config.filter.injection != "mixture" or self._config.scene.max_objects > 1:
             return "prior: needs filter.injection = mixture and scene.max_objects = 1"
-        if self.estimator.tell(pose, of):
-            self._advising.changed()
+        self.estimator.tell(pose, of)
+        self._advising.changed()
         return ""
 
     @property

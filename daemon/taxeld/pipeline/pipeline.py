@@ -29,11 +29,11 @@ from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
 from taxeld.pipeline.stage import SCAN_AGE_S, LinkStage
+from taxeld.prior import PosePrior
 from taxeld.proposals.samples import Samples
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
-from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
 SILENT_PERIODS = 3.0  # scan periods without a scan: a hub is silent, all is stale
@@ -241,7 +241,7 @@ class Pipeline:
             self.believing.restore(scans)
             self.estimate = self.freshness.judged(self._believed)
 
-    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
+    def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
         """As `Believing.tell`."""
         if self.believing is None:
             return NO_OBJECT

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.pipeline.warm_up import warm_up
+from taxeld.prior import PosePrior
 from taxeld.proposals import several
 from taxeld.service import health, realtime
 from taxeld.service.clock import WallClock
@@ -26,12 +27,10 @@ from taxeld.service.ticker import ALL, Ready, Ticker, wait
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
 from taxeld.stream.link import Link
-from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
 TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
 START_S = 2.0  # time that a skin may take to start, before the lack of scans is a fault
-PRIOR_S = 2.0  # a prior whose time is farther off is not taken
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
 log = logging.getLogger(__name__)
@@ -217,10 +216,7 @@ class Daemon:
             self.kept.forget_belief()
         return why
 
-    def _on_prior(self, pose: ToldPose, t: float) -> str:
-        late_s = abs(time.time() - t)
-        if late_s > PRIOR_S:
-            return f"its time is {late_s:.0f} s off this clock"
+    def _on_prior(self, pose: PosePrior) -> str:
         numbers = [k for k, name in enumerate(self._objects) if name == pose.object]
         if pose.object and not numbers:
             return f"no object {pose.object}; there are {', '.join(self._objects)}"
