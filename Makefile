@@ -6,7 +6,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
 .PHONY: demo test check node lint docs bench bench-one-core bench-peers picture screenshot
-.PHONY: install rollback uninstall deb dist-test lock sbom vm-test clean
+.PHONY: deb dist-test lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
@@ -64,18 +64,9 @@ screenshot: .venv/.all
 		Image.open('.venv/screenshot/view.png').convert('RGB').resize((1300, 800)) \
 		.quantize(256).save('docs/view.png', optimize=True)"
 
-# The service (docs/service.md). WHEEL is what pip installs: this tree, or a wheel of it
-install rollback uninstall:
-	PREFIX='$(PREFIX)' DESTDIR='$(abspath $(DESTDIR))' CONFIGS='$(CONFIGS)' PYTHON='$(PYTHON)' \
-		WHEEL='$(WHEEL)' LOCK='$(LOCK)' STAMP='$(STAMP)' deploy/service $@
-
-PREFIX ?= /usr/local
-CONFIGS ?= /etc/taxeld
+# A Debian package for the Debian and the Python that it is built with (docs/service.md). WHEEL is
+# what pip installs: this tree, or a wheel of it
 WHEEL ?= .
-LOCK ?= requirements.lock
-STAMP ?= $(shell date -u +%Y%m%dT%H%M%SZ)
-
-# A Debian package for the Debian and the Python that it is built with
 deb:
 	WHEEL='$(WHEEL)' PYTHON='$(PYTHON)' deploy/deb
 

@@ -61,12 +61,6 @@ def _run(args: argparse.Namespace) -> int:
             signal.SIGUSR1: lambda: signals.dump(daemon.publisher.state()),
         }
         daemon.run(lambda: received.serve(actions))
-    if args.histogram:
-        text = json.dumps(daemon.publisher.latencies.as_cyclictest(), indent=1) + "\n"
-        try:
-            args.histogram.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise SetupError(f"cannot write {args.histogram} ({error.strerror})") from None
     return 0
 
 
@@ -247,8 +241,6 @@ def _add_daemon(commands: Commands) -> None:
 
     add = documented(commands, _run).add_argument
     add("config", type=Path, metavar="CONFIG")
-    about = "write a histogram of the latencies at the end"
-    add("--histogram", type=Path, metavar="FILE", help=about)
     about = "also record a session into this new directory"
     add("--record", type=Path, metavar="DIR", help=about)
     add("--log-level", choices=LEVELS, help="in place of log.level of the configuration")

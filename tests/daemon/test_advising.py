@@ -12,13 +12,13 @@ from taxeld.config.file import parse
 from taxeld.model import se2
 from taxeld.pipeline.advising import CALM, MOST, Advising
 from taxeld.pipeline.pipeline import Pipeline
+from taxeld.prior import PosePrior
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
 from taxeld.service.loop import Daemon
 from taxeld.service.publisher import ADVICE_S
 from taxeld.service.ticker import Ready
 from taxeld.stream import messages
-from taxeld.told import ToldPose
 from tests.rig.simulated_skin import SimulatedSkin
 
 from .test_loop import Touches, settings
@@ -183,7 +183,7 @@ def test_a_belief_that_is_reset_or_told_anew_has_no_advice_yet(box: Bundle) -> N
     assert pipeline.advice is not None
     x, y, theta = TRUTH.tolist()
     cov = tuple(np.diag([4e-4, 4e-4, 0.04]).ravel().tolist())
-    assert pipeline.tell(ToldPose(x, y, theta, cov, 0.9, "")) == ""
+    assert pipeline.tell(PosePrior(x, y, theta, cov, 0.9, "")) == ""
     assert pipeline.advice is None
     taken(pipeline, events)
     pipeline.reset()

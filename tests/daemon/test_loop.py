@@ -19,7 +19,7 @@ from taxeld.estimator.estimate import Status
 from taxeld.model.activation import Activation
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
-from taxeld.proposals.ladder import Step
+from taxeld.proposals.samples import Degraded
 from taxeld.service import loop
 from taxeld.service.inputs import GATHER_S, GATHERS
 from taxeld.service.loop import Daemon
@@ -336,7 +336,7 @@ def test_a_pass_whose_own_work_is_longer_than_a_period_is_counted(
     assert counted == [0, 1, 2, 2]
 
 
-def test_where_touches_take_longer_than_they_have_samples_are_saved_and_it_is_said(
+def test_where_touches_take_longer_than_they_have_half_the_samples_are_drawn_and_it_is_said(
     touches: Touches, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     looks_ns = itertools.count(0, 60_000_000)
@@ -344,13 +344,13 @@ def test_where_touches_take_longer_than_they_have_samples_are_saved_and_it_is_sa
     degraded = list[int]()
     for _ in range(300):
         degraded += [e["degraded"] for e in touches.tick([touches.next()], Ready(device=True))]
-    assert degraded[0] == Step.CHOSEN
+    assert degraded[0] == Degraded.ALL
     assert degraded == sorted(degraded)
-    assert degraded[-1] > Step.CHOSEN
+    assert degraded[-1] == Degraded.HALF
     assert any("touches take 60 ms, and have 40" in line for line in caplog.messages)
     touches.daemon.pipeline.reset()
     (estimate,) = touches.tick([touches.next()], Ready(device=True))
-    assert estimate["degraded"] == Step.CHOSEN
+    assert estimate["degraded"] == Degraded.ALL
 
 
 def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Path) -> None:

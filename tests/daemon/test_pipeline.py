@@ -22,7 +22,7 @@ from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import EXTRAPOLATE_S
-from taxeld.proposals import bundle
+from taxeld.proposals import bundle, several
 from taxeld.proposals.bundle import Bundle
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
@@ -59,7 +59,11 @@ def config_of(text: str = "") -> Config:
 def pipeline_of(box: Bundle, text: str = "", extrapolate_s: float = 0.0) -> Pipeline:
     config = config_of(text)
     return Pipeline(
-        config, [SKIN], [box.model], box.untimed(config.filter), extrapolate_s=extrapolate_s
+        config,
+        [SKIN],
+        [box.model],
+        several.untimed([box], config.filter),
+        extrapolate_s=extrapolate_s,
     )
 
 

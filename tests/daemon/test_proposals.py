@@ -113,10 +113,9 @@ def test_auto_is_the_bundles_first_choice_that_fits_the_budget(
     cost = {"ddpm": 12.0, "density": 0.3, "table": 0.6, "projection": 0.2}
     monkeypatch.setattr(choice, "cpu_ms", lambda proposal, _model, _samples: cost[proposal.name])
     auto, named = FilterConfig(), FilterConfig(proposal="ddpm-100")
-    opened = choice.open_all(loaded, auto)
-    chosen = [choice.choose(loaded, opened, auto, ms) for ms in (20.0, 5.0, 0.25, 0.1)]
+    chosen = [choice.choose(loaded, auto, ms)[0] for ms in (20.0, 5.0, 0.25, 0.1)]
     assert chosen == ["ddpm-100", "density-64", "projection", "projection"]  # the cheapest at last
-    assert choice.choose(loaded, opened, named, 0.1) == "ddpm-100"
+    assert choice.choose(loaded, named, 0.1)[0] == "ddpm-100"
 
 
 def test_what_a_proposal_costs_grows_with_what_it_does() -> None:
@@ -134,4 +133,4 @@ def test_a_bundle_without_a_kind_of_sampler_says_so() -> None:
     with pytest.raises(SetupError, match=r"has no 'ddpm'; it has auto, "):
         bare.proposal("ddpm")
     assert bare.proposal("auto").name == "table"
-    assert list(choice.open_all(bare, FilterConfig())) == ["table"]
+    assert choice.possible(bare, FilterConfig()) == ["table"]

@@ -20,7 +20,7 @@ from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config.tables import Config, SensorPoseConfig
 from taxeld.errors import SetupError
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import bundle
+from taxeld.proposals import bundle, several
 from taxeld.proposals.bundle import Bundle
 from taxeld.service.loop import Daemon
 from taxeld.source import session
@@ -90,7 +90,8 @@ def record(place: Path, transport: str) -> None:
 
 def estimates(place: Path, transport: str) -> list[str]:
     settings_ = config_of(transport)
-    pipeline = Pipeline(settings_, [SKIN], [box().model], box().untimed(settings_.filter))
+    samples = several.untimed([box()], settings_.filter)
+    pipeline = Pipeline(settings_, [SKIN], [box().model], samples)
     why = pipeline.freshness.why
     return [
         json.dumps(messages.estimate(o.estimate, names=[NAME], seq=seq, why=why(o.estimate)))

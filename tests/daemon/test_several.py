@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from taxeld.commands.check import faults
@@ -122,31 +121,12 @@ def test_bundles_are_found_beside_the_configuration(place: Path) -> None:
 
 
 def test_objects_without_the_chosen_sampler_have_the_table(three: list[Bundle]) -> None:
-    """Wherever they stand in the list; and each sampler is opened once."""
+    """Wherever they stand in the list."""
     for bundles in (three, three[::-1]):
         fixed = config(scene={"bundles": THREE}, filter={"proposal": "density-64"})
-        ladder = choice.ladder(bundles, fixed, lambda: 0)
-        drill = bundles.index(three[2])
-        for rung in ladder.rungs:
-            each = [rung.of(k) for k in range(3)]
-            assert isinstance(each[1], Sampler) or rung.step == 3
-            assert each[drill].name == "table"
-        opened = {id(rung.of(k)) for rung in ladder.rungs for k in range(3)}
-        names = {rung.of(1).name for rung in ladder.rungs}
-        assert len(opened) <= 3 * (len(names) + 1)
-
-
-def test_all_objects_are_on_one_rung(three: list[Bundle]) -> None:
-    ladder = choice.ladder(three, config(filter={"proposal": "density-64"}), lambda: 0)
-    live, rng = np.ones(len(SKIN), dtype=bool), np.random.default_rng(0)
-    z = np.eye(1, len(SKIN))[0]
-    mug = ladder.of(1)
-    assert mug.name == "density"
-    before = len(mug.propose(z, live, 40, rng))
-    while not ladder.is_lowest:
-        ladder.step_down()
-    assert mug.name == ladder.name
-    assert len(mug.propose(z, live, 40, rng)) <= before
+        samples, drill = choice.samples(bundles, fixed, lambda: 0), bundles.index(three[2])
+        assert isinstance(samples.proposals[1], Sampler)
+        assert samples.proposals[drill].name == "table"
 
 
 def estimate_of(three: list[Bundle], *objects: float, number: int = 0) -> Estimate:

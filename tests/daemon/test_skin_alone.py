@@ -21,7 +21,7 @@ from taxeld.config.file import load, parse
 from taxeld.config.tables import SkinConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals.ladder import Ladder
+from taxeld.proposals.samples import Samples
 from taxeld.stream import client, messages
 from taxeld.view.export import export
 from taxeld.view.stage import recorded
@@ -173,7 +173,7 @@ def test_init_writes_a_configuration_without_an_object(tmp_path: Path) -> None:
 
 def test_each_of_several_links_is_served() -> None:
     text = '[source]\nkind = "can"\nchannel = "can0"\n' + "[[skin]]\n" * 2
-    server = Pipeline(parse(text), [SKIN, SKIN], [], Ladder([]))
+    server = Pipeline(parse(text), [SKIN, SKIN], [], Samples())
     skins = [SimulatedSkin(SKIN, seed=k) for k in range(2)]
     for scan in range(30):
         skins[1].press[40] = 9000.0 * (scan >= 25)

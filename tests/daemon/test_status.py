@@ -26,7 +26,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The place of a daemon that replays a long session."""
     place = tmp_path_factory.mktemp("daemon")
     write_session(place, touches=40)
-    with taxeld("run", configuration(place), "--histogram", place / "histogram.json") as daemon:
+    with taxeld("run", configuration(place)) as daemon:
         try:
             until(lambda: client.ask(f"ipc://{place}/control", "info", timeout_s=0.5))
             until(lambda: _contacts(place))
@@ -34,9 +34,6 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         finally:
             daemon.terminate()
     assert daemon.returncode == 0
-    written = json.loads((place / "histogram.json").read_text(encoding="utf-8"))
-    assert written["thread"]["5"]["name"] == "total"
-    assert written["thread"]["5"]["cycles"] > 20
 
 
 def _contacts(place: Path) -> int:

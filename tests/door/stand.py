@@ -13,9 +13,9 @@ import msgpack
 import zmq
 
 from taxeld.door.settings import Settings
+from taxeld.prior import PosePrior
 from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream.link import Link
-from taxeld.told import ToldPose
 
 from ..rig.clocks import until
 from ..rig.processes import free_port
@@ -38,7 +38,7 @@ class Stand(contextlib.ExitStack):
         self.done: list[str] = []
         changes = {name: lambda name=name: self.done.append(name) for name in ("tare", "reset")}
         self.link = Link(INFO, lambda *pose: self.poses.append(pose), changes)
-        self.priors: list[ToldPose] = []
+        self.priors: list[PosePrior] = []
         self.link.on_prior = self._on_prior
         group = {"change_group": "", "queue": QUEUE}
         self.keeper = Doorkeeper(Settings(**group | served))
@@ -60,7 +60,7 @@ class Stand(contextlib.ExitStack):
         assert process is not None
         return process.pid
 
-    def _on_prior(self, pose: ToldPose, t: float) -> str:  # noqa: ARG002
+    def _on_prior(self, pose: PosePrior) -> str:
         self.priors.append(pose)
         return "" if pose.object != "cup" else "no object cup"
 

@@ -62,7 +62,7 @@ PRIOR = {"cmd": "prior", "x": 0.1, "y": 0.2, "theta": 0.3, "cov": [0.02, 0.02, 0
 
 def test_a_prior_is_checked_and_taken_by_the_loop(stand: Stand) -> None:
     assert stand.answer(PRIOR) == {"ok": True}
-    assert [(p.x, p.source) for p in stand.priors] == [(0.1, "control")]
+    assert [p.x for p in stand.priors] == [0.1]
     assert stand.answer(PRIOR | {"object": "cup"})["error"] == "no object cup"
     for bad in ({"x": None}, {"cov": [[0.0] * 3] * 3}, {"cov": "wide"}, {"weight": 2}, {"z": 1}):
         error = stand.answer(PRIOR | bad)["error"]

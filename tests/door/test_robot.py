@@ -70,19 +70,6 @@ def test_poses_of_a_further_link_come_by_its_own_topic(tmp_path: Path) -> None:
     assert {p[1] for p in stand.poses} == {0.0, 1.0}
 
 
-def test_a_camera_tells_where_the_object_is_beside_the_poses(robot: Robot) -> None:
-    message = {"t": 1.0, "x": 0.1, "y": 0.2, "cov": [0.02, 0.02, 0.1]}
-    sent: list[object] = [{**message, "x": math.nan}, [1], message | {"cov": 1}, message]
-    sent.append(dict(list(message.items())[1:]))
-    for x, each in enumerate(sent, 1):
-        robot.socket.send_multipart([b"/robot/object_pose", msgpack.packb(each), b"1.0"])
-        robot.until_heard(float(x))
-    robot.stand.until(lambda: robot.line.malformed == 4)
-    found = [(p.x, math.isnan(p.theta), p.source) for p in robot.stand.priors]
-    assert found == [(0.1, True, "topic")]
-    assert robot.line.reason == "/robot/object_pose: t is no finite number"
-
-
 def test_messages_of_very_many_frames_starve_no_pose(robot: Robot) -> None:
     for _ in range(100):
         robot.socket.send_multipart([b"/robot/sensor_pose", *[b"x"] * 5000])

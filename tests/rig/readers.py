@@ -117,7 +117,7 @@ def manifest_used(content: bytes) -> None:
     made, info = manifest.parse(content, NOWHERE)
     found = replace(loaded(), manifest=made, info=info)
     for name in (*PROPOSALS, *found.order):
-        used_or_refused(lambda name=name: found.cheaper(found.resolve(name)))  # type: ignore[misc]
+        used_or_refused(lambda name=name: found.resolve(name))  # type: ignore[misc]
     for sampler in made.samplers:
         assert found.resolve(sampler.name) == sampler.name
     messages.info(found.model.layout, several.scenes([found]), str(FilterConfig()))

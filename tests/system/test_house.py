@@ -63,3 +63,21 @@ def test_what_is_to_be_installed_comes_from_the_clone_or_a_wheel_and_from_no_ind
 
 def test_the_example_configuration_is_fine() -> None:
     assert config_file.load(ROOT / "examples" / "can0.toml").source.channel == "can0"
+
+
+def pins(text: str) -> dict[str, str]:
+    found = re.findall(r"^([\w.-]+)==([^\s\\]+)", text, re.MULTILINE)
+    return {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in found}
+
+
+def test_the_lock_pins_every_dependency_at_the_version_that_was_tested() -> None:
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    tested = pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
+    locked = pins(lock)
+    assert locked.items() <= tested.items()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = {re.split(r"[<>=~!]", d)[0].lower() for d in project["dependencies"]}
+    assert asked <= locked.keys()
+    for entry in re.split(r"\n(?=\S)", lock)[1:]:
+        assert re.fullmatch(r"[\w.-]+==\S+( \\\n    --hash=sha256:[0-9a-f]{64})+\n?", entry), entry
+    assert "://" not in lock

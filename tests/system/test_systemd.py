@@ -79,7 +79,7 @@ def test_systemd_has_nothing_to_say_against_the_unit(tmp_path: Path, unit: Path)
 def test_the_unit_starts_what_the_command_line_takes() -> None:
     (start,) = settings()["ExecStart"]
     command, *arguments = start.replace("%i", "can0").split()
-    assert command == "/usr/local/lib/taxeld/current/bin/taxeld"
+    assert command == "/usr/lib/taxeld/bin/taxeld"
     args = cli._parser().parse_args(arguments)
     assert args.config == Path("/etc/taxeld/can0.toml")
     assert args.command is cli._run
@@ -95,7 +95,7 @@ def test_the_unit_of_the_bridge_and_the_options_it_proposes_start_what_its_comma
     for more in ("", proposed):
         started = start.replace("%i", "can0").replace("$TAXELD_ROS2", more)
         command, *arguments = started.split()
-        assert command == "/usr/local/lib/taxeld/current/bin/taxeld-ros2"
+        assert command == "/usr/lib/taxeld/bin/taxeld-ros2"
         args = bridge._parser().parse_args(arguments)
         assert args.config == Path("/etc/taxeld/can0.toml")
         assert args.command is bridge._run

@@ -25,7 +25,7 @@ PATIENCE_S = 180.0  # an emulated processor is some twenty times slower
 GOOD_MM = 10.0
 # touched until the check ends: an emulated processor loses some contacts
 SCENARIO = 'bundle = "box"\ncontacts = 40\nphysics = "scene"\n'
-COMMAND = "/usr/local/lib/taxeld/current/bin/taxeld"
+COMMAND = "/usr/lib/taxeld/bin/taxeld"
 POSES = "tcp://127.0.0.1:9874"
 OVER_TCP = "tcp://127.0.0.1:9872"
 

@@ -125,11 +125,9 @@ def _read_source(source: SourceConfig, skin: Layout) -> None:
 
 def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
     bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
-    first = several.leading(bundles)
-    for name in choice.open_all(first, config.filter):
+    for name in choice.possible(several.leading(bundles), config.filter):
         for one in bundles:
-            if one is not first:
-                one.open(one.own(name))
+            one.open(one.own(name))
 
 
 def _open_device(source: SourceConfig) -> None:

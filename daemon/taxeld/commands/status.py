@@ -7,7 +7,7 @@ from typing import Any
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.calibration_check import Suspect
 from taxeld.pipeline.freshness import CURES, Why
-from taxeld.proposals.ladder import Step
+from taxeld.proposals.samples import Degraded
 from taxeld.skin.channels import mismatch
 from taxeld.source import bus_faults
 from taxeld.stream.messages import name_of, object_of, reason_of
@@ -19,7 +19,7 @@ STANDS = 0.99  # least probability at which nobody need think of the other hypot
 def lines(answer: dict[str, Any]) -> Iterator[str]:
     """Lines of a subject each, from the answer to `status`; missing parts are left out."""
     rows = [*estimate_rows(answer["estimate"], answer.get("why", ""))]
-    rows.append(("Samples", name_of(Step, answer["estimate"]["degraded"])))
+    rows.append(("Samples", name_of(Degraded, answer["estimate"]["degraded"])))
     rows.append(("Age", f"{answer['estimate']['age_us'] / 1e3:.1f} ms since the scan"))
     if answer.get("health"):
         rows += _health_rows(answer["health"], answer.get("waits_for"))

@@ -92,7 +92,7 @@ def no_directory(endpoint: str) -> str | None:
     if path is None or path.parent.is_dir() or path.parent == own_directory():
         return None
     return (
-        f"{path.parent} does not exist; the service makes it ('make install'). To try a daemon "
+        f"{path.parent} does not exist; the service makes it (docs/service.md). To try a daemon "
         f"without the service, set XDG_RUNTIME_DIR, or name another endpoint"
     )
 

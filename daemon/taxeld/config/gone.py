@@ -4,7 +4,9 @@ A configuration's key (`table.key`), a command (`taxeld-hil draw`) or an option 
 stands here is refused with its line. The table is emptied at the next minor version.
 """
 
-GONE: dict[str, str] = {}
+GONE: dict[str, str] = {
+    "--histogram": "lat_us of 'taxeld status' and /taxeld/health has median, 99 % and the longest",
+}
 
 
 def why(name: str) -> str | None:

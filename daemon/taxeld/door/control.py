@@ -17,8 +17,8 @@ import msgpack
 import zmq
 
 from taxeld.door.binding import Binding
+from taxeld.prior import PosePrior, read_prior
 from taxeld.stream.sockets import credentials, is_waiting, open_socket, sender, unpack
-from taxeld.told import ToldPose, told_pose
 
 REQUESTS_AT_ONCE = 64
 REQUEST_BYTES = 4096
@@ -34,7 +34,9 @@ NUMBERS = itertools.count(1)  # numbers of the requests that the loop answers, o
 
 Body = bytes
 MayChange = Callable[[zmq.Frame], str]  # a frame of the peer → why it may not, or an empty text
-Change = Callable[[int, str | ToldPose], bool]  # request, and what to do → whether it was passed on
+Change = Callable[
+    [int, str | PosePrior], bool
+]  # request, and what to do → whether it was passed on
 
 
 class Control:
@@ -94,9 +96,9 @@ class Control:
         if not isinstance(command, str) or command not in (*answers, *CHANGES):
             known = ", ".join((*answers, *CHANGES))
             return packed_error(f"unknown cmd {command!r:.100}; known: {known}")
-        what: str | ToldPose = command
+        what: str | PosePrior = command
         if command == PRIOR:
-            what = told_pose(request)
+            what = read_prior(request)
             if isinstance(what, str):
                 return packed_error(f"prior: {what}")
         elif request:

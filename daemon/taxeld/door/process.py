@@ -2,7 +2,6 @@
 
 import contextlib
 import logging
-import math
 import signal
 import socket
 import sys
@@ -22,12 +21,12 @@ from taxeld.door.robot import Robot
 from taxeld.door.settings import Settings
 from taxeld.door.streams import Streams, open_publisher
 from taxeld.errors import SetupError
+from taxeld.prior import PosePrior
 from taxeld.stream import curve, pair
 from taxeld.stream.curve import RelayKeys, RobotKeys
 from taxeld.stream.link import SEVERITIES, Report, line_of
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, TOPICS
-from taxeld.told import ToldPose
 
 WAIT_MS = 100  # for a peer or the loop
 LOOK_S, REPORT_S = 0.1, 1.0
@@ -195,12 +194,9 @@ class Door:
     def _on_array(self, packed: bytes) -> bool:
         return pair.send(self._end, Kind.ARRAY, packed)
 
-    def _on_prior(self, packed: bytes) -> bool:
-        return pair.send(self._end, Kind.PRIOR, packed)
-
-    def _pass_on(self, number: int, what: str | ToldPose) -> bool:
-        if isinstance(what, ToldPose):
-            return self._on_prior(pair.pack_prior(what, math.nan, number))
+    def _pass_on(self, number: int, what: str | PosePrior) -> bool:
+        if isinstance(what, PosePrior):
+            return pair.send(self._end, Kind.PRIOR, pair.pack_prior(what, number))
         return pair.send(self._end, Kind.CHANGE, pair.REQUEST.pack(number) + what.encode())
 
     def _on_status(self) -> bytes:
@@ -239,13 +235,7 @@ class Door:
         if settings.robot:
             now_s = time.monotonic()
             self._robot = Robot(
-                context,
-                settings.robot,
-                self._on_poses,
-                self._on_prior,
-                keys.robot,
-                now_s,
-                settings.topics,
+                context, settings.robot, self._on_poses, keys.robot, now_s, settings.topics
             )
             self._report.robot = self._robot.line
         if settings.array:

@@ -1,7 +1,6 @@
 """The robot's sensor poses, and the connection they come by.
 
-SUB to `/robot/sensor_pose`, a map {t, x, y, theta}, and to `/robot/object_pose`, a prior, of which
-the newest is passed on. While no pose comes, whatever else the robot
+SUB to `/robot/sensor_pose`, a map {t, x, y, theta}. While no pose comes, whatever else the robot
 publishes is listened to for a moment, so that a wrong topic can be named.
 """
 
@@ -17,8 +16,7 @@ from taxeld.stream import pair
 from taxeld.stream.curve import RobotKeys
 from taxeld.stream.link import REASON_MAX, TOPIC_MAX, TOPICS_MAX
 from taxeld.stream.sockets import unpack
-from taxeld.stream.topics import OBJECT_POSE, SENSOR_POSE
-from taxeld.told import told_pose
+from taxeld.stream.topics import SENSOR_POSE
 
 POSE_FRAMES = 3
 POSE_KEYS = ("t", "x", "y", "theta")
@@ -30,7 +28,6 @@ SILENT_S = 1.0  # without a pose for so long, other topics are listened to
 LISTEN_S, PAUSE_S = 3.0, 30.0  # for so long, and then not again
 
 OnPoses = Callable[[bytes, int], object]
-OnPrior = Callable[[bytes], object]
 Pose = tuple[float, float, float, float]
 
 
@@ -45,21 +42,19 @@ class Robot(Heard):
         context: zmq.Context[Any],
         endpoint: str,
         on_poses: OnPoses,
-        on_prior: OnPrior,
         keys: RobotKeys | None,
         now_s: float,
         topics: Sequence[str] = (),
     ) -> None:
         """`topics`: of the links' sensors, where there are several; `on_poses` is given
         up to `pair.POSES_MAX` well-formed poses, packed as `pair.POSE`, and the number of their
-        link; `on_prior` a prior, packed by `pair.pack_prior`; `now_s` is monotonic.
+        link; `now_s` is monotonic.
 
         Raises:
             SetupError: the endpoint is none.
         """
         self.is_awaited = False  # whether the loop waits for the next pose
-        self._on_poses, self._on_prior = on_poses, on_prior
-        self._prior = b""  # the newest that has not been passed on
+        self._on_poses = on_poses
         # the links' topics with their numbers, and their poses that have not been passed on
         self._links = {topic.encode(): k for k, topic in enumerate(topics)} or {SENSOR_POSE: 0}
         self._packed: list[list[bytes]] = [[] for _ in self._links]
@@ -81,16 +76,9 @@ class Robot(Heard):
 
     @property
     def topics(self) -> list[bytes]:
-        return sorted({self.topic, *self._links, OBJECT_POSE})
+        return sorted({self.topic, *self._links})
 
     def _take(self, now_s: float, parts: list[bytes]) -> None:
-        if parts[0] == OBJECT_POSE:
-            prior = as_prior(parts)
-            if isinstance(prior, str):
-                self._refuse(f"{OBJECT_POSE.decode()}: {prior}")
-            else:
-                self._prior = prior
-            return
         link = self._links.get(parts[0])
         is_glued = len(parts) == 1 and parts[0].startswith(tuple(self._links))
         if link is None and not is_glued:  # its prefix is all that ZeroMQ looks at
@@ -105,7 +93,8 @@ class Robot(Heard):
         elif now_s < self._doubted_s and not isinstance(pose, str):
             pose = DEGREES
         if isinstance(pose, str):
-            self._refuse(pose)
+            self.line.malformed += 1
+            self.line.reason = pose[:REASON_MAX]
             return
         self._pose_s, self.is_awaited = now_s, False
         packed = self._packed[link or 0]
@@ -113,14 +102,7 @@ class Robot(Heard):
         if len(packed) == pair.POSES_MAX:
             self._pass_on()
 
-    def _refuse(self, reason: str) -> None:
-        self.line.malformed += 1
-        self.line.reason = reason[:REASON_MAX]
-
     def _pass_on(self) -> None:
-        if self._prior:
-            self._on_prior(self._prior)
-            self._prior = b""
         for link, packed in enumerate(self._packed):
             if packed:
                 self._on_poses(b"".join(packed), link)
@@ -142,18 +124,6 @@ class Robot(Heard):
             self.socket.setsockopt(zmq.UNSUBSCRIBE, b"")
         if now_s <= self._pose_s + SILENT_S:
             self.line.topics, self._pauses_s = [], -math.inf
-
-
-def as_prior(parts: list[bytes]) -> bytes | str:
-    """The packet of a message, or the reason why it is no prior, with the cure."""
-    message = unpack(parts[1]) if len(parts) == POSE_FRAMES else {}
-    if not message:
-        return "send three frames: the topic, a msgpack map {t, x, y, theta, cov}, the time as text"
-    t = message.pop("t", None)
-    if type(t) not in (int, float) or not math.isfinite(t):
-        return "t is no finite number"
-    pose = told_pose(message, "topic")
-    return pose if isinstance(pose, str) else pair.pack_prior(pose, float(t))
 
 
 def as_pose(parts: list[bytes]) -> Pose | str:

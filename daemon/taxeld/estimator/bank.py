@@ -25,7 +25,7 @@ from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import Mode
-from taxeld.told import ToldPose
+from taxeld.prior import PosePrior
 
 FOLLOWED = 2  # objects that learn from every scan
 LATER_MAX = 64  # scans that an object may have to learn later
@@ -185,11 +185,12 @@ class Bank:
             self.due += sorted(self.ruled_out)
         return injected, evidence
 
-    def tell(self, pose: ToldPose, contacts: int, of: Sequence[int]) -> bool:
-        """Take a told pose of the objects `of`; → whether it says anything new."""
-        told = [rule.tell(pose, contacts) for k, rule in enumerate(self.mixtures) if k in of]
+    def tell(self, pose: PosePrior, contacts: int, of: Sequence[int]) -> None:
+        """Take a prior of the objects `of`."""
+        for k, rule in enumerate(self.mixtures):
+            if k in of:
+                rule.tell(pose, contacts)
         self._weigh()
-        return any(told)
 
     def expected(self, after: int, link: int) -> Lesson | None:
         """As `Rule.expected`, of the likeliest object."""

@@ -26,7 +26,7 @@ from taxeld.model.activation import Activation
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
-from taxeld.told import ToldPose
+from taxeld.prior import PosePrior
 
 RULES: dict[str, Callable[[ObservationModel, FilterConfig, float, np.random.Generator], Rule]] = {
     "paper": Paper,
@@ -161,16 +161,12 @@ class Estimator:
             bank.restarted(last)
         self.estimate = self._estimate(0.0)
 
-    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> bool:
-        """Take a told pose, of the objects numbered `of`, else of any; → whether it changed the
-        estimate. With several targets, or by the paper's rule, nothing is told."""
-        if self.most > 1 or not isinstance(self.rule, Mixture):
-            return False
+    def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> None:
+        """Take a prior of the objects numbered `of`, else of any, in place of the one before; not
+        by the paper's rule, nor with several targets."""
         numbers = range(len(self.known)) if of is None else of
-        if not self.bank.tell(pose, self._tally.contacts, numbers):
-            return False
+        self.bank.tell(pose, self._tally.contacts, numbers)
         self.estimate = self._estimate(self.estimate.t)
-        return True
 
     @property
     def _t(self) -> float:

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses
 from taxeld.estimator.compiled import Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
+from taxeld.estimator.prior_term import PriorTerm
 from taxeld.estimator.reader import Kept, Reader, fields
 from taxeld.estimator.runs import HAZARD, MEANINGLESS, SWAPPED, Runs
-from taxeld.estimator.told import PriorTerm
 from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Nearby, Observation, ObservationModel
@@ -29,7 +29,6 @@ from taxeld.model.symmetry import Mode, PoseMetric
 Number = TypeVar("Number", np.intp, np.float64)
 
 LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
-TOLD_MAX = 4  # told poses remembered, each of another source
 FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
 
 
@@ -112,7 +111,7 @@ class Memory:
 
     def _forget(self, prior: Prior | None) -> None:
         self.prior = prior
-        self.told: tuple[PriorTerm, ...] = ()
+        self.term: PriorTerm | None = None  # a prior that was given
         self._sensor = np.empty((0, 3))
         taxels = max(len(each.layout) for each in self._links)
         self._kept: Grid = np.empty((len(Kept), 0, taxels), np.float32)
@@ -133,8 +132,8 @@ class Memory:
 
     @property
     def terms(self) -> int:
-        """Columns of `explain`: the prior's, if there is one, of told poses, and of scans."""
-        return len(self) + len(self.told) + (self.prior is not None)
+        """Columns of `explain`: of the prior, of the given one, if there are, and of scans."""
+        return len(self) + (self.term is not None) + (self.prior is not None)
 
     @property
     def contact(self) -> Bools:
@@ -170,15 +169,15 @@ class Memory:
 
     def _in_steps(self) -> Runs:
         """A silent scan belongs to the next contact: the object may have moved since the last."""
-        told = [each.step for each in self.told]
-        of_all = np.concatenate([np.array(told, np.intp), self.number + self.silent])
+        term, of_scans = self.term, self.number + self.silent
+        of_all = of_scans if term is None else np.append(of_scans, term.step)
         steps, which = np.unique(of_all, return_inverse=True)
-        of_told, which = which[: len(told)], which[len(told) :]
         known, r = self.terms - len(self), len(steps)
-        prior = known - len(told)
+        prior = int(self.prior is not None)
         shares = np.zeros((self.terms, 2 * r))
         shares[:prior, r : r + 1] = 1.0  # the prior counts in the first step
-        shares[prior + np.arange(len(told)), r + of_told] = 1.0
+        shares[prior:known, r + which[len(self) :]] = 1.0
+        which = which[: len(self)]
         self.of_scans(shares.T).T[np.arange(len(self)), which + r * self.silent] = self.share
         usual = self.anything @ shares[known:]
         touched = np.zeros(r, np.bool_)
@@ -189,10 +188,11 @@ class Memory:
         begun += np.array(moves) - begun[:1]
         begun[:1] = 0.0  # evidence is of the remembered scans alone
         opens = touched.copy()
-        for each, step in zip(self.told, of_told.tolist(), strict=True):
-            if not touched[step]:  # evidence is in relation to poses that touch, and none did yet
-                opens[step] = True
-                begun[step] -= (step > 0) * (each.table.log_volume - each.table.log_touched)
+        if term is not None:
+            at = int(np.searchsorted(steps, term.step))
+            if not touched[at]:  # evidence is in relation to poses that touch, and none did yet
+                opens[at] = True
+                begun[at] -= (at > 0) * (term.table.log_volume - term.table.log_touched)
         return Runs(shares, usual, touched, begun, self.least, is_known=prior > 0, opens=opens)
 
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
@@ -215,14 +215,13 @@ class Memory:
         made.before = {number + (not told.pressed): log_z} | self.before
         return made
 
-    def plus_told(self, told: PriorTerm, log_z: float) -> "Memory":
-        """A memory of a told pose more, in place of the one of its source before. `log_z`: as of
+    def given(self, term: PriorTerm, log_z: float) -> "Memory":
+        """The same with a prior, in place of the one that was given before. `log_z`: as of
         `plus`."""
-        kept = [each for each in self.told if each.pose.source != told.pose.source]
         made = copy.copy(self)
         made._runs = made._for_c = None
-        made.told = (*kept[1 - TOLD_MAX :], told)
-        made.before = {told.step: log_z} | self.before
+        made.term = term
+        made.before = {term.step: log_z} | self.before
         return made
 
     def scan(self, k: int) -> Observation:
@@ -238,12 +237,13 @@ class Memory:
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """A memory of the scans in the mask `kept` (K,), with the prior or without."""
         made = copy.copy(self)
-        made.prior, made.told = (self.prior, self.told) if prior else (None, ())
+        made.prior, made.term = (self.prior, self.term) if prior else (None, None)
         made._runs = made._for_c = None
         made._kept = self._kept.compress(kept, axis=1)  # contiguous, as the C code needs it
         for name in ("_sensor", "link", "number", "pressed", "anything", "_untouched"):
             setattr(made, name, getattr(self, name)[kept])
-        steps = {*(made.number + made.silent).tolist(), *(each.step for each in made.told)}
+        steps = {made.term.step} if made.term else set()
+        steps.update((made.number + made.silent).tolist())
         made.before = {step: log_z for step, log_z in self.before.items() if step in steps}
         return made
 
@@ -261,8 +261,9 @@ class Memory:
         for name in (*scans, "newest", "slack", "moves"):
             setattr(made, name, getattr(other, name))
         first = min(other.before, default=0)
-        made.told = self.told
-        made.before = {each.step: other.before.get(each.step, 0.0) for each in made.told}
+        made.term = self.term
+        if made.term is not None:
+            made.before = {made.term.step: other.before.get(made.term.step, 0.0)}
         made.before |= {k: z + SWAPPED * (k > first) for k, z in other.before.items()}
         return made
 
@@ -275,10 +276,10 @@ class Memory:
         return explained[..., self.terms - len(self) :]
 
     def explain(self, poses: Poses) -> Floats:
-        """Log-densities of the prior, if there is one, and of told poses, and log p(scan | pose)
+        """Log-densities of the prior, and of the given one, if there are, and log p(scan | pose)
         over the live taxels of each scan: poses (N, 3) → (N, terms)."""
         scans = self._explain(poses, 0)
-        known = [*((self.prior,) if self.prior else ()), *self.told]
+        known = [each for each in (self.prior, self.term) if each is not None]
         if not known:
             return scans
         return np.column_stack([*(each.log_density(poses) for each in known), scans])

@@ -14,14 +14,14 @@ from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, summarise
 from taxeld.estimator.evidence import UNTOUCHED, ModelEvidence, odds
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
+from taxeld.estimator.prior_term import PriorTerm, TableTop
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
-from taxeld.estimator.told import SAME, PriorTerm, TableTop
 from taxeld.estimator.verdict import Place, placed
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.push import STRIDE, Push, assumed, changed, push
 from taxeld.model.symmetry import PoseMetric
-from taxeld.told import ToldPose
+from taxeld.prior import PosePrior
 
 ROOM = 3.0  # half-widths of the table around the last touch: the whole table, and more
 MOVES = 2  # Metropolis steps a contact
@@ -105,26 +105,20 @@ class Mixture:
             self._judge(opinions=int(len(samples) > 0))
         return len(samples), log_evidence
 
-    def tell(self, pose: ToldPose, contacts: int) -> bool:
-        """Take a told pose after contact number `contacts`; → whether it says anything new."""
+    def tell(self, pose: PosePrior, contacts: int) -> None:
+        """Take a prior after contact number `contacts`."""
         config, memory = self._config, self.memory
         table = TableTop.of(self.metric, config, self._evidence.log_volume)
-        told = PriorTerm(pose, table, contacts + 1)
-        earlier = [each for each in memory.told if each.pose.source == pose.source]
-        for before in earlier:
-            if not told.is_news(before):
-                return False
-            if told.apart(before) <= SAME:  # else it says that the object is elsewhere
-                told.step = before.step
-        self.memory = memory.plus_told(told, self.log_z)
+        term = PriorTerm(pose, table, contacts + 1)
+        self.memory = memory.given(term, self.log_z)
         if not memory.contact.any() and memory.prior is None:
-            self._believe_told(told)
-            return True
+            self._believe(term)
+            return
         belief, known = self.belief, memory.runs.support(self.belief.remembered)
         belief.remembered = self.memory.explain(belief.pose)
         pf.reweight(belief, self.memory.runs.support(belief.remembered) - known)
-        samples = told.samples(max(self._wanted(), 1), self._rng)
-        at = self.memory.terms - len(self.memory) - 1  # the newest told pose comes last
+        samples = term.samples(max(self._wanted(), 1), self._rng)
+        at = self.memory.terms - len(self.memory) - 1  # the term's column
         opinion = injection.anneal(
             pf.equal(samples, self.memory.explain(samples)),
             lambda explained: np.asarray(explained[:, at]),
@@ -136,13 +130,12 @@ class Mixture:
         self._become(self._merged(opinion), moves=1)
         self._revisits = self._agreed = 0
         self._judge(opinions=0)
-        return True
 
-    def _believe_told(self, told: PriorTerm) -> None:
-        """Before the first touch: particles of the told pose, and of the whole table."""
-        n = max(round(told.pose.weight * self._config.particles), 1)
+    def _believe(self, term: PriorTerm) -> None:
+        """Before the first touch: particles of the prior, and of the whole table."""
+        n = max(round(term.pose.weight * self._config.particles), 1)
         belief = anew(self._config, self._rng)
-        belief.pose[:n] = told.samples(n, self._rng)
+        belief.pose[:n] = term.samples(n, self._rng)
         belief.remembered = self.memory.explain(belief.pose)
         silence = self.memory.of_scans(belief.remembered).sum(axis=1)
         pf.reweight(belief, silence)
@@ -348,7 +341,7 @@ class Mixture:
         self._revisits = 0
         memory = self.memory
         opinion = self.opinion(samples, len(memory) - 1, self._rng)
-        is_known = memory.prior is not None or bool(memory.told)
+        is_known = memory.prior is not None or memory.term is not None
         if np.count_nonzero(memory.contact) > 1 or is_known:
             opinion = self._merged(opinion)
         self._become(opinion, moves=MOVES)

@@ -17,8 +17,8 @@ from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.advising import Advising
 from taxeld.pipeline.calibration_check import CalibrationCheck
 from taxeld.pipeline.stage import LinkStage
-from taxeld.proposals.ladder import Ladder
-from taxeld.told import ToldPose
+from taxeld.prior import PosePrior
+from taxeld.proposals.samples import Samples
 
 CONTACTS, LEAST_CONTACTS = 12, 4  # contacts of a lesson, and of one before all is forgotten
 
@@ -30,16 +30,16 @@ class Believing:
         self,
         config: Config,
         objects: Sequence[ObservationModel],
-        ladder: Ladder,
+        samples: Samples,
         stages: Sequence[LinkStage] = (),
     ) -> None:
-        """`ladder` samples each of the objects; the skins of `stages` are taught."""
+        """`samples` are of each of the objects; the skins of `stages` are taught."""
         first, *more = objects
-        others = [Known(one, ladder.of(k), ladder.beside(one)) for k, one in enumerate(more, 1)]
+        others = [Known(one, samples.of(k), samples.beside(one)) for k, one in enumerate(more, 1)]
         robot_m, most = config.sensor_pose.sigma_m, config.scene.max_objects
-        beside = ladder.beside(first)
-        self.estimator = Estimator(first, ladder, config.filter, robot_m, others, most, beside)
-        self._config, self._ladder, self._stages = config, ladder, stages
+        own, beside = samples.of(0), samples.beside(first)
+        self.estimator = Estimator(first, own, config.filter, robot_m, others, most, beside)
+        self._config, self._samples, self._stages = config, samples, stages
         self._learns = config.skin.learn and config.filter.motion == "none"
         self._judge_by(self.estimate.object)
         advisor = Advisor(self.estimator, config.advice) if config.advice.enabled else None
@@ -98,9 +98,9 @@ class Believing:
                 stage.skin.teach(lesson)
 
     def reset(self) -> None:
-        """Forget all touches; samples are tried again as at start."""
+        """Forget all touches; all samples are drawn again."""
         self.teach(LEAST_CONTACTS)
-        self._ladder.begin_anew()
+        self._samples.begin_anew()
         self.estimator.reset()
         self.check.reset()
         self._advising.changed()
@@ -110,13 +110,13 @@ class Believing:
         self.estimator.restore(scans)
         self._advising.changed()
 
-    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
-        """Take a told pose of the objects numbered `of`, else of any; → why it cannot be taken,
-        empty where it was, or says nothing new."""
+    def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
+        """Take a prior of the objects numbered `of`, else of any; → why it cannot be taken, empty
+        where it was."""
         if self._config.filter.injection != "mixture" or self._config.scene.max_objects > 1:
             return "prior: needs filter.injection = mixture and scene.max_objects = 1"
-        if self.estimator.tell(pose, of):
-            self._advising.changed()
+        self.estimator.tell(pose, of)
+        self._advising.changed()
         return ""
 
     @property

@@ -2,7 +2,7 @@
 
 The daemon's loop and the replay of a session run this same code. Arrivals are handed in with their
 times, so the same arrivals give the same estimates, byte for byte. Durations are measured by the
-ladder's clock, if it has one.
+samples' clock, if they have one.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -29,11 +29,11 @@ from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
 from taxeld.pipeline.stage import SCAN_AGE_S, LinkStage
-from taxeld.proposals.ladder import Ladder
+from taxeld.prior import PosePrior
+from taxeld.proposals.samples import Samples
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
-from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
 SILENT_PERIODS = 3.0  # scan periods without a scan: a hub is silent, all is stale
@@ -73,19 +73,19 @@ class Pipeline:
         config: Config,
         layouts: Sequence[Layout],
         objects: Sequence[ObservationModel],
-        ladder: Ladder,
+        samples: Samples,
         on_poses: Sequence[OnPose] = (),
         calibration: Sequence[Calibration | None] = (),
         extrapolate_s: float = EXTRAPOLATE_S,
     ) -> None:
-        """`layouts` of each link; `objects` that may be felt, which the ladder has as well: without
+        """`layouts` of each link; `objects` that may be felt, which the samples are of: without
         any the skin is served alone. `on_poses` are called with every accepted sensor pose
         (t, x, y, θ) of each link, as the robot sends it. `calibration`: of each link's skin and its
         mount on the robot. `extrapolate_s`: as of PoseTrack."""
         given = calibration or [None] * len(layouts)
         each = [calibrated(config.of_link(k), one) for k, one in enumerate(given)]
         self.config = config = replace(each[0], links=config.links)
-        self.ladder = ladder
+        self.samples = samples
         square = config.filter.centre_m, config.filter.half_width_m
         reach_m = max((_reach_m(link) for one in objects for link in one.links), default=0.0)
         silent_s = [max(SCAN_AGE_S, SILENT_PERIODS * one.source.period_ms / 1e3) for one in each]
@@ -104,7 +104,7 @@ class Pipeline:
         ]
         self.believing: Believing | None = None  # None: without an object
         if objects:
-            self.believing = Believing(config, objects, ladder, self.stages)
+            self.believing = Believing(config, objects, samples, self.stages)
         self.estimate = self.freshness.judged(self._believed)
         self.thinks_at_once = True  # whether a scan's second opinion is part of the work on it
         self._stepped_s = 0.0  # total steps of the Unix clock since start [s]
@@ -241,7 +241,7 @@ class Pipeline:
             self.believing.restore(scans)
             self.estimate = self.freshness.judged(self._believed)
 
-    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
+    def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
         """As `Believing.tell`."""
         if self.believing is None:
             return NO_OBJECT
@@ -266,7 +266,7 @@ class Pipeline:
     def _take(self, stage: LinkStage) -> Outcome:
         """Work on a link's first waiting scan to its end; the sensor's poses up to its time have
         been added."""
-        clock, by, link = self.ladder.clock, self._stepped_s, self.stages.index(stage)
+        clock, by, link = self.samples.clock, self._stepped_s, self.stages.index(stage)
         scan = stage.waiting.popleft()[1]
         start = clock()
         activation = stage.skin.on_scan(scan)
@@ -304,7 +304,7 @@ class Pipeline:
 
     def _clocks(self) -> tuple[int, int]:
         """The time now, and all that samples have taken since start [ns]."""
-        return self.ladder.clock(), self.ladder.spent_ns
+        return self.samples.clock(), self.samples.spent_ns
 
     def _spent_since(self, start_ns: int, proposed_ns: int) -> tuple[int, int]:
         """The time that samples took since these clocks, and that all the rest took [ns]."""

@@ -1,7 +1,6 @@
 """Scene bundles: a directory with the scene, its samplers, and their description."""
 
 import contextlib
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,14 +8,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.proposals import manifest, scene_file
 from taxeld.proposals.analytic import ANALYTIC, Table, check_contacts
-from taxeld.proposals.ladder import Ladder, Rung, Step
 from taxeld.proposals.manifest import LinkEntry, Manifest, SamplerEntry
 
 KEY = "scene.bundle"  # of the configuration, which names a bundle
@@ -60,28 +57,13 @@ class Bundle:
 
     @property
     def choices(self) -> list[str]:
-        """All proposals that `auto` may choose on any machine. A sampler with more operations than
-        one preferred to it is left out: it would not be faster."""
-        return self._lighter(math.inf)
-
-    def cheaper(self, name: str) -> list[str]:
-        """Samplers with fewer operations than the sampler `name`, by preference, each with fewer
-        than the one before."""
-        samplers = self._samplers()
-        most = samplers[name].flops if name in samplers else 0.0
-        return [n for n in self._lighter(most) if n in samplers]
-
-    def _lighter(self, most: float) -> list[str]:
-        """Proposals of `order`: analytic ones, and samplers that each have fewer operations than
-        the one before, below `most`."""
-        samplers = self._samplers()
-        kept = []
+        """All proposals that `auto` may choose on any machine. A sampler with as many operations as
+        one preferred to it, or more, is left out: it would not be faster."""
+        samplers, least, kept = self._samplers(), float("inf"), []
         for name in self.order:
-            if name in samplers:
-                if samplers[name].flops >= most:
-                    continue
-                most = samplers[name].flops
-            kept.append(name)
+            if name not in samplers or samplers[name].flops < least:
+                kept.append(name)
+                least = samplers[name].flops if name in samplers else least
         return kept
 
     def open(self, name: str) -> Proposal:
@@ -105,10 +87,6 @@ class Bundle:
     def proposal(self, name: str) -> Proposal:
         """The proposal that `filter.proposal` names, by the rules of `resolve`."""
         return self.open(self.resolve(name))
-
-    def untimed(self, config: FilterConfig) -> Ladder:
-        """As `several.untimed`, of this bundle alone."""
-        return Ladder([Rung(Step.CHOSEN, self.proposal(config.proposal))])
 
     def _samplers(self) -> dict[str, SamplerEntry]:
         return {sampler.name: sampler for sampler in self.manifest.samplers}

@@ -11,8 +11,8 @@ from taxeld.layout.layout import Layout
 from taxeld.model.scene import Scene
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
-from taxeld.proposals.ladder import Ladder, Rung, Step
 from taxeld.proposals.manifest import Manifest
+from taxeld.proposals.samples import Samples
 
 OTHER = "other"  # taken among the names in messages, for none of them
 
@@ -83,10 +83,9 @@ def sized(config: Config, found: Sequence[Manifest]) -> Config:
     return replace(config, filter=replace(config.filter, **most))
 
 
-def untimed(bundles: Sequence[Bundle], config: FilterConfig) -> Ladder:
-    """The configured proposal alone, without a clock: the same samples on any machine."""
+def untimed(bundles: Sequence[Bundle], config: FilterConfig) -> Samples:
+    """The configured proposal without a clock: the same samples on any machine."""
     if not bundles:
-        return Ladder([])
+        return Samples()
     name = leading(bundles).resolve(config.proposal)
-    first, *more = (one.open(one.own(name)) for one in bundles)
-    return Ladder([Rung(Step.CHOSEN, first, more=more)])
+    return Samples([one.open(one.own(name)) for one in bundles])

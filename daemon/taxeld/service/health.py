@@ -21,7 +21,7 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
     parts = {
         "uptime_s": now_s - daemon.start_s,
         "loop": daemon.counters,
-        "lat_us": {"total": daemon.publisher.latencies.percentiles()["total"]},
+        "lat_us": {"total": daemon.publisher.latencies.percentiles()},
         "realtime": daemon.realtime,
         "source": {
             **source.wire.stats(),

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.pipeline.warm_up import warm_up
+from taxeld.prior import PosePrior
 from taxeld.proposals import several
 from taxeld.service import health, realtime
 from taxeld.service.clock import WallClock
@@ -26,12 +27,10 @@ from taxeld.service.ticker import ALL, Ready, Ticker, wait
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
 from taxeld.stream.link import Link
-from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
 TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
 START_S = 2.0  # time that a skin may take to start, before the lack of scans is a fault
-PRIOR_S = 2.0  # a prior whose time is farther off is not taken
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
 log = logging.getLogger(__name__)
@@ -95,9 +94,7 @@ class Daemon:
         try:
             realtime.trim()
             if self._models:
-                limit_ns = self._touch_ns(hubs=1)
-                cpu = time.thread_time_ns
-                warm_up(self.config, self._models, pipeline.ladder, cpu, limit_ns)
+                warm_up(self.config, self._models, pipeline.samples)
                 self.kept.restore_belief()
             pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
             with realtime.thread(self.config.loop.priority) as self.realtime:
@@ -189,21 +186,15 @@ class Daemon:
                 self._judge_touch(cpu - before)
 
     def _judge_touch(self, took_ns: int) -> None:
-        """Let the ladder know the CPU time of a touch."""
-        ladder = self.pipeline.ladder
-        limit_ns = self._touch_ns(sum(stage.skin.hubs for stage in self.pipeline.stages))
-        if ladder.took(took_ns, limit_ns):
+        """Have fewer samples drawn where touches take more CPU time than there is between scans."""
+        hubs = sum(stage.skin.hubs for stage in self.pipeline.stages)
+        limit_ns = 1e6 * TOUCH_SHARE * self.config.source.period_ms / max(hubs, 1)
+        if self.pipeline.samples.took(took_ns, limit_ns):
             log.warning(
-                "touches take %.0f ms, and have %.0f: samples from now on by %s, %.0f %% of them",
+                "touches take %.0f ms, and have %.0f: half the samples are drawn from now on",
                 took_ns / 1e6,
                 limit_ns / 1e6,
-                ladder.name,
-                100.0 * ladder.rung.share,
             )
-
-    def _touch_ns(self, hubs: int) -> float:
-        """Time that a touch may take of the time between two scans [ns]."""
-        return 1e6 * TOUCH_SHARE * self.config.source.period_ms / max(hubs, 1)
 
     def _look_at_door(self, now_s: float, *, asked: bool) -> None:
         """Take poses, subscriptions and changes; while no scan needs poses, only now and then."""
@@ -225,10 +216,7 @@ class Daemon:
             self.kept.forget_belief()
         return why
 
-    def _on_prior(self, pose: ToldPose, t: float) -> str:
-        late_s = abs(time.time() - t)
-        if late_s > PRIOR_S:
-            return f"its time is {late_s:.0f} s off this clock"
+    def _on_prior(self, pose: PosePrior) -> str:
         numbers = [k for k, name in enumerate(self._objects) if name == pose.object]
         if pose.object and not numbers:
             return f"no object {pose.object}; there are {', '.join(self._objects)}"

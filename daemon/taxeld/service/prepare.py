@@ -49,7 +49,7 @@ def prepared(config: Config, recorder: Recorder | None) -> Prepared:
         config,
         skins,
         [one.model for one in bundles],
-        choice.ladder(bundles, config, time.perf_counter_ns),
+        choice.samples(bundles, config, time.perf_counter_ns),
         [recorder.of(k).pose for k in range(len(skins))] if recorder else (),
         [calibration_file.of(*each) for each in zip(config.each, skins, strict=True)],
     )

@@ -38,7 +38,7 @@ class Publisher:
     """Sends messages to subscribers, answers `status` and logs what has changed."""
 
     def __init__(self, made: Prepared, inputs: Inputs, link: Link, counters: LoopCounters) -> None:
-        self.latencies = Latencies(messages.STAGES)
+        self.latencies = Latencies()
         self.seq = 0  # number of the last estimate
         config = made.config
         self.estimate_s = 1.0 / config.publish.rate_hz if made.bundles else HEALTH_S
@@ -50,7 +50,7 @@ class Publisher:
             Patches(layout, one.skin.full_scale_depth_m)
             for one, layout in zip(config.each, made.layouts, strict=True)
         ]
-        proposal = made.pipeline.ladder.name if made.bundles else ""
+        proposal = made.pipeline.samples.name if made.bundles else ""
         self._notices = Notices(self._names, proposal, [one.path for one in made.bundles])
         self._publish_us = 0.0  # time of sending the last estimate [µs]
         self._next_particles_s = self._next_estimate_s = self._next_health_s = 0.0
@@ -88,7 +88,7 @@ class Publisher:
             self._link.send(messages.COUNTS, told, t)
         if outcome.activation is not None:
             self._send_activation(outcome.activation, outcome.sensor, now_s, outcome.link)
-        self.latencies.add(lat_us)
+        self.latencies.add(total_us)
         end_ns = time.perf_counter_ns()
         self._publish_us = (end_ns - begin_ns) / 1000.0
         return end_ns
@@ -173,7 +173,7 @@ class Publisher:
             mono_ns=time.monotonic_ns(),
             age_us=(wall_s - estimate.t) * 1e6 if estimate.t else 0.0,
             overruns=self._counters.overruns,
-            degraded=int(self._pipeline.ladder.step),
+            degraded=int(self._pipeline.samples.degraded),
             lat_us=lat_us,
             links=freshness.of_links(now_s),
         )

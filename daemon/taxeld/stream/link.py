@@ -13,10 +13,10 @@ from typing import Any
 
 import msgpack
 
+from taxeld.prior import PosePrior
 from taxeld.stream import pair
 from taxeld.stream.pair import Kind
-from taxeld.stream.topics import INFO, OBJECT_POSE, TOPICS
-from taxeld.told import ToldPose
+from taxeld.stream.topics import INFO, TOPICS
 from taxeld_protocol.array import ID_MAX, ArrayFrame
 
 PACKETS_PER_LOOK = 64
@@ -41,8 +41,8 @@ log = logging.getLogger(__name__)
 OnPose = Callable[[float, float, float, float], None]
 OnArray = Callable[[ArrayFrame], None]
 Handler = Callable[[], str | None]  # → why it was not done
-OnPrior = Callable[[ToldPose, float], str]
-"""A pose of the object and its time, nan for now → why it is not taken, empty where it is."""
+OnPrior = Callable[[PosePrior], str]
+"""→ why it is not taken, empty where it is."""
 
 
 @dataclass(slots=True)
@@ -76,7 +76,6 @@ class Link:
         finite; `handlers` do what clients may change, by command."""
         self.unsent = 0  # messages that the door did not take in time, since the loop's start
         self.report = Report()
-        self._untold = ""  # why the topic's last prior was not taken
         self.is_ready = False
         self.fault = ""  # why the door has ended, if it said so
         self._pack: Callable[[object], bytes] = msgpack.Packer().pack
@@ -195,8 +194,8 @@ class Link:
                 (number,) = pair.REQUEST.unpack_from(body)
                 self._change(number, self._handlers[body[pair.REQUEST.size :].decode()])
             case Kind.PRIOR:
-                number, t, told = pair.unpack_prior(body)
-                self._change(number or None, lambda: self.on_prior(told, t))
+                number, pose = pair.unpack_prior(body)
+                self._change(number, lambda: self.on_prior(pose))
             case Kind.REPORT:
                 self.report = read_report(msgpack.unpackb(body))
             case Kind.LOG:
@@ -206,19 +205,15 @@ class Link:
             case Kind.FAULT:
                 self.fault = line_of(body)
 
-    def _change(self, number: int | None, handler: Handler) -> None:
-        """Answer request `number`; None: nobody has asked."""
+    def _change(self, number: int, handler: Handler) -> None:
+        """Answer request `number`."""
         why = ""
         if self._changes < 1.0:
             why = f"more than {CHANGES_HZ:.0f} a second are not done; ask again"
         else:
             self._changes -= 1.0
             why = handler() or ""
-        if number is not None:
-            self._give(Kind.ANSWER, pair.REQUEST.pack(number) + why.encode())
-        elif why and why != self._untold:
-            log.warning("%s: not taken, %s", OBJECT_POSE.decode(), why)
-            self._untold = why
+        self._give(Kind.ANSWER, pair.REQUEST.pack(number) + why.encode())
 
     def _send(self, topic: bytes, body: bytes, t: float) -> None:
         self._give(Kind.MESSAGE, pair.HEAD.pack(TOPICS.index(topic), t) + body)

@@ -21,7 +21,7 @@ from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.scene import Scene
 from taxeld.pipeline.freshness import CURES, Why
-from taxeld.proposals.ladder import Step
+from taxeld.proposals.samples import Degraded
 from taxeld.skin.patches import Patches, in_world
 from taxeld.stream.topics import (
     ADVICE,
@@ -245,7 +245,7 @@ def info(
         "status": {str(int(s)): s.name.lower() for s in Status},
         "why": {str(int(w)): w.name.lower() for w in Why},
         "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
-        "degraded": {str(int(s)): s.name.lower() for s in Step},
+        "degraded": {str(int(s)): s.name.lower() for s in Degraded},
         "layout": _layout(layout),
         "object": objects[0]["name"] if objects else "",
         "symmetry": objects[0]["symmetry"] if objects else 0,

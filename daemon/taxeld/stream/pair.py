@@ -16,8 +16,7 @@ To the loop:
     POSES_OF number of a further link (1 byte), and its sensor's poses
     CHANGE   number of the request (4 bytes), and its command
     ARRAY    t, counts at rest, length of the id (12 bytes), id, counts (2 bytes each)
-    PRIOR    number of the request, 0 of the topic (4 bytes), time, x, y, theta, cov, weight (14
-             doubles), the object's name
+    PRIOR    number of the request (4 bytes), x, y, theta, cov, weight (13 doubles), object's name
     REPORT   msgpack map: what the door counts, once a second
     LOG      severity (1 byte), a line
 
@@ -25,13 +24,12 @@ A body that is too large for a packet goes to the door as a file in memory, by i
 """
 
 import contextlib
-import math
 import os
 import socket
 import struct
 from enum import IntEnum
 
-from taxeld.told import ToldPose
+from taxeld.prior import PosePrior
 from taxeld_protocol.array import ArrayFrame
 
 SO_PASSRIGHTS = 83  # Linux 6.16
@@ -40,7 +38,7 @@ HEAD = struct.Struct("=Bd")  # head of a MESSAGE: topic's number, time
 POSE = struct.Struct("=4d")
 POSES_MAX = 100  # poses in a packet
 REQUEST = struct.Struct("=I")  # number of a request
-PRIOR = struct.Struct("=I14d")  # head of a PRIOR
+PRIOR = struct.Struct("=I13d")  # head of a PRIOR
 ARRAY = struct.Struct("=dHH")  # head of an ARRAY: time, counts at rest, bytes of the id
 
 
@@ -78,20 +76,19 @@ def unpack_array(body: bytes) -> ArrayFrame:
     return ArrayFrame(t, body[ARRAY.size : begin].decode(), rest, counts)
 
 
-def pack_prior(pose: ToldPose, t: float, number: int = 0) -> bytes:
-    """The body of a PRIOR: told at Unix time t, by request `number` or by the topic."""
-    values = t, pose.x, pose.y, pose.theta, *pose.cov, pose.weight
+def pack_prior(pose: PosePrior, number: int) -> bytes:
+    """The body of a PRIOR of request `number`."""
+    values = pose.x, pose.y, pose.theta, *pose.cov, pose.weight
     return PRIOR.pack(number, *values) + pose.object.encode()
 
 
-def unpack_prior(body: bytes) -> tuple[int, float, ToldPose]:
-    """Number, time and pose. Raises ValueError or struct.error where it is none."""
-    number, t, x, y, theta, *cov, weight = PRIOR.unpack_from(body)
-    name, source = body[PRIOR.size :].decode(), "control" if number else "topic"
-    pose = ToldPose(x, y, theta, tuple(cov), weight, name, source)
-    if pose.fault or not (number or math.isfinite(t)):
-        raise ValueError(pose.fault or "time")
-    return number, t, pose
+def unpack_prior(body: bytes) -> tuple[int, PosePrior]:
+    """Number and prior. Raises ValueError or struct.error where it is none."""
+    number, x, y, theta, *cov, weight = PRIOR.unpack_from(body)
+    pose = PosePrior(x, y, theta, tuple(cov), weight, body[PRIOR.size :].decode())
+    if pose.fault:
+        raise ValueError(pose.fault)
+    return number, pose
 
 
 def open_pair() -> tuple[socket.socket, socket.socket]:

@@ -10,4 +10,3 @@ INFO = b"/taxeld/info"
 ADVICE = b"/taxeld/advice"
 TOPICS = (ESTIMATE, PARTICLES, TAXELS, CONTACTS, COUNTS, HEALTH, INFO, ADVICE)
 SENSOR_POSE = b"/robot/sensor_pose"
-OBJECT_POSE = b"/robot/object_pose"

@@ -57,7 +57,8 @@ class Guided:
         skins = [layouts.load(config.skin.layout)]
         (scene,) = several.load(config.scene, skins, config.skin.full_scale_depth_m)
         config = several.sized(config, [scene.manifest])
-        self._pipeline = Pipeline(config, skins, [scene.model], scene.untimed(config.filter))
+        samples = several.untimed([scene], config.filter)
+        self._pipeline = Pipeline(config, skins, [scene.model], samples)
         self._observer = Observer(self._pipeline)
         self._recording = Recording(config, config_path, directory)
         self._directory = directory

@@ -1,4 +1,4 @@
-"""A told pose as a term of a belief: a density in relation to a uniform one over the table.
+"""A prior as a term of a belief: a density in relation to a uniform one over the table.
 
 It may mean nothing, as a contact may, so touches refute it. It counts in a step of its own, with
 the contact that comes next: the object may have moved since the one before.
@@ -12,10 +12,7 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.model.scene import CONTINUOUS
 from taxeld.model.symmetry import PoseMetric
-from taxeld.told import ToldPose
-
-SAME = 3.0  # standard deviations: a source's next pose within them is the same fact, put better
-NOT_NEW = 0.5  # the same, and as good: nothing is learned
+from taxeld.prior import PosePrior
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +41,9 @@ class TableTop:
 
 
 class PriorTerm:
-    """One told pose, for one object, since the step that it counts in."""
+    """A prior for one object, and the step that it counts in."""
 
-    def __init__(self, pose: ToldPose, table: TableTop, step: int) -> None:
+    def __init__(self, pose: PosePrior, table: TableTop, step: int) -> None:
         self.pose, self.table, self.step = pose, table, step
         metric, self._theta = table.metric, pose.theta
         cov = np.reshape(pose.cov, (3, 3))
@@ -64,7 +61,7 @@ class PriorTerm:
         self._height = float(height) + volume
 
     def _off(self, poses: Poses) -> Floats:
-        """(N, 2 or 3) from the told pose to poses (N, 3)."""
+        """(N, 2 or 3) from the prior's mean to poses (N, 3)."""
         metric = self.table.metric
         shift = metric.centres(poses) - self._centre
         if not self._has_yaw:
@@ -85,19 +82,3 @@ class PriorTerm:
         off = rng.multivariate_normal(np.zeros(len(self._cov)), self._cov, n)
         theta = self._theta + off[:, 2] if self._has_yaw else rng.uniform(-np.pi, np.pi, n)
         return metric.placed(self._centre + off[:, :2], theta)
-
-    def apart(self, other: "PriorTerm") -> float:
-        """How far another of the same source is off, in standard deviations of both."""
-        if self._has_yaw is not other._has_yaw:
-            return np.inf
-        centre, metric = other._centre, self.table.metric
-        off = self._centre - centre
-        if self._has_yaw:
-            turn = metric.turn(np.asarray(self._theta), np.asarray(other._theta))
-            off = np.append(off, turn)
-        return float(np.sqrt(off @ np.linalg.solve(self._cov + other._cov, off)))
-
-    def is_news(self, before: "PriorTerm") -> bool:
-        """Whether it says more than the one of the same source before."""
-        alike = np.allclose(self._cov, before._cov, rtol=0.5, atol=0.0)
-        return not alike or self.pose.weight != before.pose.weight or self.apart(before) > NOT_NEW

@@ -1,4 +1,4 @@
-"""A told pose: what is none, what it does to a belief, and how touches refute it."""
+"""A prior: what is none, what it does to a belief, and how touches refute it."""
 
 import math
 
@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from taxeld.estimator.estimate import SURE, Status
-from taxeld.estimator.mixture import Mixture
-from taxeld.estimator.told import PriorTerm, TableTop
+from taxeld.estimator.prior_term import PriorTerm, TableTop
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
+from taxeld.prior import PosePrior, read_prior
 from taxeld.stream import pair
-from taxeld.told import ToldPose, told_pose
 from tests.rig.pressed_box import TRUTH, World, estimator
 
 SD = [0.02, 0.02, 0.1]
@@ -19,9 +18,9 @@ GOOD = {"x": 0.1, "y": 0.05, "theta": 0.3, "cov": SD}
 SIDES = (0.2, 1.3, 2.9, 4.5, 3.6, 5.2)
 
 
-def told(**keys: object) -> ToldPose:
-    made = told_pose(GOOD | keys)
-    assert isinstance(made, ToldPose), made
+def prior(**keys: object) -> PosePrior:
+    made = read_prior(GOOD | keys)
+    assert isinstance(made, PosePrior), made
     return made
 
 
@@ -47,16 +46,16 @@ def told(**keys: object) -> ToldPose:
     ],
 )
 def test_what_is_none_is_said_in_a_line(keys: dict[str, object], says: str) -> None:
-    found = told_pose(GOOD | keys)
+    found = read_prior(GOOD | keys)
     assert isinstance(found, str)
     assert says in found
     assert "\n" not in found
 
 
-def test_the_door_passes_on_what_was_told() -> None:
-    pose = told(theta=None, weight=0.5, object="mug")
-    number, t, found = pair.unpack_prior(pair.pack_prior(pose, 7.0, 3))
-    assert (number, t, math.isnan(found.theta)) == (3, 7.0, True)
+def test_the_door_passes_it_on_whole() -> None:
+    pose = prior(theta=None, weight=0.5, object="mug")
+    number, found = pair.unpack_prior(pair.pack_prior(pose, 3))
+    assert (number, math.isnan(found.theta)) == (3, True)
     assert (found.cov, found.weight, found.object) == (pose.cov, 0.5, "mug")
 
 
@@ -65,7 +64,7 @@ def test_its_density_over_the_table_is_one_on_average(
     box_model: ObservationModel, theta: float | None
 ) -> None:
     metric = PoseMetric(box_model.scene)
-    made = PriorTerm(told(theta=theta), TableTop(metric, (0.0, 0.0), 0.5, 0.0), 1)
+    made = PriorTerm(prior(theta=theta), TableTop(metric, (0.0, 0.0), 0.5, 0.0), 1)
     rng = np.random.default_rng(0)
     poses = rng.uniform([-0.5, -0.5, -np.pi], [0.5, 0.5, np.pi], (400_000, 3))
     assert np.exp(made.log_density(poses)).mean() == pytest.approx(1.0, abs=0.1)
@@ -73,21 +72,26 @@ def test_its_density_over_the_table_is_one_on_average(
 
 def test_alone_it_is_believed_and_never_sure(box_model: ObservationModel) -> None:
     subject = estimator(box_model)
-    assert subject.tell(told(cov=[0.001, 0.001, 0.01], weight=0.95))
+    subject.tell(prior(cov=[0.001, 0.001, 0.01], weight=0.95))
     found = subject.estimate
     assert found.status is Status.SEARCHING
     assert 0.8 < found.p < SURE
     assert np.allclose(found.map[:2], TRUTH[:2], atol=0.005)
 
 
-def test_a_camera_that_says_the_same_again_says_nothing(box_model: ObservationModel) -> None:
-    subject = estimator(box_model)
-    assert subject.tell(told())
-    for _ in range(100):
-        assert not subject.tell(told(x=0.101))
-    assert subject.tell(told(x=0.15))
-    assert isinstance(subject.rule, Mixture)
-    assert len(subject.rule.memory.told) == 1
+def test_a_newer_one_takes_the_place_of_the_one_before(box_model: ObservationModel) -> None:
+    """However often it is given, it counts once."""
+    found = []
+    for times in (1, 20):
+        subject, world = estimator(box_model), World(box_model)
+        for side in SIDES[:3]:
+            world.press(subject, side)
+        for _ in range(times):
+            subject.tell(prior(x=0.15, weight=0.5))
+        found.append(subject.estimate)
+    once, often = found
+    assert subject.rule.metric.distance(once.map, often.map) < 0.01
+    assert once.p == pytest.approx(often.p, abs=0.05)
 
 
 @pytest.mark.parametrize("after", [0, 3])
@@ -95,7 +99,7 @@ def test_touches_refute_a_wrong_one(box_model: ObservationModel, after: int) -> 
     subject, world = estimator(box_model), World(box_model)
     for touch, side in enumerate(SIDES):
         if touch == after:
-            subject.tell(told(x=0.3))
+            subject.tell(prior(x=0.3))
         found = world.press(subject, side)
     assert found.status is Status.CONVERGED
     assert subject.rule.metric.distance(found.map, TRUTH) < 0.005
@@ -106,7 +110,7 @@ def test_one_that_is_elsewhere_does_not_move_a_sure_belief(box_model: Observatio
     subject, world = estimator(box_model), World(box_model)
     for side in SIDES:
         world.press(subject, side)
-    subject.tell(told(x=0.3))
+    subject.tell(prior(x=0.3))
     found = subject.estimate
     assert found.hypotheses.stands > 0.9
     assert subject.rule.metric.distance(found.map, TRUTH) < 0.005

@@ -1,4 +1,4 @@
-"""A pose of the object that somebody told: a camera, an operator, a planner. Never the truth."""
+"""Where an operator, a camera or a planner says that the object is. Never the truth."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ NAME_MAX = 64  # characters of an object's name
 
 
 @dataclass(frozen=True, slots=True)
-class ToldPose:
+class PosePrior:
     """Where the object is said to be, in the world."""
 
     x: float
@@ -25,7 +25,6 @@ class ToldPose:
     cov: tuple[float, ...]  # 9 numbers of (x, y, θ), row by row [m², m rad, rad²]
     weight: float = WEIGHT  # probability that it means this object, here
     object: str = ""  # name; empty: whichever object it is
-    source: str = "control"  # the newest of a source replaces the one before
 
     @property
     def fault(self) -> str:
@@ -58,8 +57,8 @@ def _cov_fault(cov: Sequence[float]) -> str:
     return ""
 
 
-def told_pose(message: Mapping[str, Any], source: str = "control") -> ToldPose | str:
-    """Of a message's keys, or the reason why it is none, with the cure."""
+def read_prior(message: Mapping[str, Any]) -> PosePrior | str:
+    """The prior of a message's keys, or the reason why it is none, with the cure."""
     for key in message:
         if key not in KEYS:
             return f"unknown key {key!r:.60}; a prior has {', '.join(KEYS)}"
@@ -81,14 +80,13 @@ def told_pose(message: Mapping[str, Any], source: str = "control") -> ToldPose |
     if cov is None:
         return "cov is neither 3 standard deviations [m, m, rad] nor a matrix of 3 by 3"
     try:
-        made = ToldPose(
+        made = PosePrior(
             float(numbers["x"]),
             float(numbers["y"]),
             float(numbers["theta"]),
             cov,
             float(numbers["weight"]),
             name or "",
-            source,
         )
     except OverflowError:
         return "a number is too large"
