@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taxeld import files
 from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig
 from taxeld.estimator.estimate import Estimate, Status
@@ -253,7 +254,7 @@ def test_a_file_with_any_damage_is_not_used_or_as_it_was(
         (Path.mkdir, "it is no regular file"),
         (os.mkfifo, "it is no regular file"),
         (lambda path: path.write_bytes(b""), "it is damaged"),
-        (lambda path: path.write_bytes(b" " * (kept_file.MAX_BYTES + 1)), "it is larger than 64"),
+        (lambda path: path.write_bytes(b" " * (files.LARGEST + 1)), "it is larger than 64"),
         (lambda path: np.savez(path, version=0), "it is of another version"),
     ],
     ids=["a directory", "a pipe", "empty", "huge", "another version"],
