@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from taxeld.estimator.estimate import ProposalKind, Status
-from taxeld.pipeline.calibration_check import Suspect
 from taxeld.pipeline.freshness import CURES, Why
 from taxeld.proposals.samples import Degraded
 from taxeld.skin.channels import mismatch
@@ -130,25 +129,7 @@ def _modules(modules: dict[str, Any], missing: list[int]) -> str:
 
 def _calibration(used: dict[str, Any]) -> str:
     days = f"{used['age_s'] / 86_400.0:.1f} days old"
-    line = days if used["used"] else "none; full scale and mount are as configured"
-    return line + _doubt(used)
-
-
-def _doubt(used: dict[str, Any]) -> str:
-    try:
-        suspect = Suspect(used["suspect"])
-    except ValueError:
-        return "; in doubt (by a newer daemon)"
-    if suspect is Suspect.NONE:
-        return ""
-    yaw = math.degrees(used["mount_yaw_rad"])
-    off = {
-        Suspect.SCALE: f"readings are {used['scale']:.2f} times what they should be",
-        Suspect.MOUNT: f"the mount seems {1e3 * used['mount_x_m']:+.1f} mm, "
-        f"{1e3 * used['mount_y_m']:+.1f} mm, {yaw:+.1f}° off",
-        Suspect.MODULES: "modules seem to have changed places",
-    }[suspect]
-    return f"; IN DOUBT: {off}; taxeld calibrate"
+    return days if used["used"] else "none; full scale and mount are as configured"
 
 
 def _device(source: dict[str, Any], waits_for: str | None) -> str:

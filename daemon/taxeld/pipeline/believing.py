@@ -1,4 +1,4 @@
-"""What is thought of the objects at each scan: a belief, a check of the calibration, and advice.
+"""What is thought of the objects at each scan: a belief, and advice.
 
 Sure beliefs teach the skins.
 """
@@ -15,7 +15,6 @@ from taxeld.estimator.history import Used
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.advising import Advising
-from taxeld.pipeline.calibration_check import CalibrationCheck
 from taxeld.pipeline.stage import LinkStage
 from taxeld.prior import PosePrior
 from taxeld.proposals.samples import Samples
@@ -41,7 +40,6 @@ class Believing:
         self.estimator = Estimator(first, own, config.filter, robot_m, others, most, beside)
         self._config, self._samples, self._stages = config, samples, stages
         self._learns = config.skin.learn and config.filter.motion == "none"
-        self._judge_by(self.estimate.object)
         advisor = Advisor(self.estimator, config.advice) if config.advice.enabled else None
         self._advising = Advising(advisor, [stage.poses.mount for stage in stages])
 
@@ -58,12 +56,7 @@ class Believing:
     def on_scan(self, activation: Activation, sensor: Poses, link: int) -> None:
         """Learn from a link's activation at its sensor's pose (3,)."""
         believed = self.estimate
-        if believed.object != self._judged:
-            self._judge_by(believed.object)
-        own = [mode for mode in believed.modes if mode.object == believed.object]
         estimate = self.estimator.learn(activation, sensor, link)
-        if not link:  # a full scale or mount in doubt is the first link's
-            self.check.on_scan(self.estimator.used, own, estimate.contacts)
         has_learned = estimate.log_evidence != 0.0 or estimate.objects != believed.objects
         told, moves = estimate.contact or has_learned, self.estimator.used is not None
         self._advising.on_scan(sensor, link, told=told, moves=moves)
@@ -71,13 +64,12 @@ class Believing:
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do."""
-        return self._has_opinion or self._advising.has_work
+        return self.estimator.has_thought or self._advising.has_work
 
     def think(self) -> bool:
-        """After a scan that told nothing new, take a step of the calibration's check, and a second
-        opinion on the belief; → whether the estimate has changed. Where there is neither, do a
-        piece of work on advice."""
-        if not self._has_opinion:
+        """After a scan that told nothing new, take a second opinion on the belief; → whether the
+        estimate has changed. Where there is none, do a piece of work on advice."""
+        if not self.estimator.has_thought:
             self._advising.step()
             return False
         return self._consider()
@@ -102,7 +94,6 @@ class Believing:
         self.teach(LEAST_CONTACTS)
         self._samples.begin_anew()
         self.estimator.reset()
-        self.check.reset()
         self._advising.changed()
 
     def restore(self, scans: Sequence[Used]) -> None:
@@ -119,22 +110,9 @@ class Believing:
         self._advising.changed()
         return ""
 
-    @property
-    def _has_opinion(self) -> bool:
-        """Whether there is a step of the check, or a second opinion, to take."""
-        is_due = self.check.is_due and self.estimator.unconsidered is not None
-        return is_due or self.estimator.has_thought
-
     def _consider(self) -> bool:
-        """Take a step of the check and a second opinion; → whether the estimate has changed."""
-        if self.estimator.unconsidered is not None:
-            self.check.step()
+        """Take a second opinion; → whether the estimate has changed."""
         has_changed = self.estimator.think()
         if has_changed:
             self._advising.changed()
         return has_changed
-
-    def _judge_by(self, number: int) -> None:
-        """Judge the calibration by touches of the object of this number, from now on."""
-        model = self.estimator.known[number].model
-        self._judged, self.check = number, CalibrationCheck(model, self._config.filter)

@@ -1,11 +1,10 @@
-"""A configuration with a calibration's values, and the report on that calibration."""
+"""A configuration with a calibration's values."""
 
 from dataclasses import replace
 from typing import Any
 
 from taxeld.config.tables import Config, FilterConfig
-from taxeld.pipeline.calibration_check import CalibrationDoubt
-from taxeld.skin.calibration import DAY_S, Calibration
+from taxeld.skin.calibration import Calibration
 
 
 def calibrated(config: Config, calibration: Calibration | None) -> Config:
@@ -21,17 +20,3 @@ def calibrated(config: Config, calibration: Calibration | None) -> Config:
         measured["gain_cv"] = calibration.gain_cv
     skin = replace(config.skin, full_scale_counts=calibration.full_scale_counts)
     return replace(config, skin=skin, filter=replace(own, **measured))
-
-
-def told(calibration: Calibration | None, doubt: CalibrationDoubt, now: float) -> dict[str, Any]:
-    """The calibration's part of health: whether one is in use, its age at the Unix time `now`, and
-    the doubt that touches raise about it, or about the configured values in its place."""
-    return {
-        "used": calibration is not None,
-        "age_s": 0.0 if calibration is None else calibration.age_days(now) * DAY_S,
-        "suspect": int(doubt.suspect),
-        "scale": doubt.scale,
-        "mount_x_m": doubt.mount_x_m,
-        "mount_y_m": doubt.mount_y_m,
-        "mount_yaw_rad": doubt.mount_yaw_rad,
-    }

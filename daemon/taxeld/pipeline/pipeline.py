@@ -24,7 +24,6 @@ from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.believing import Believing
 from taxeld.pipeline.calibrated import calibrated
-from taxeld.pipeline.calibration_check import CalibrationDoubt
 from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
@@ -142,11 +141,6 @@ class Pipeline:
     def advice(self) -> Advice | None:
         """Where to touch next; None while the belief changes, and where that is not enabled."""
         return None if self.believing is None else self.believing.advice
-
-    @property
-    def doubt(self) -> CalibrationDoubt:
-        """The doubt that touches raise about the calibration; there is none without an object."""
-        return CalibrationDoubt() if self.believing is None else self.believing.check.doubt
 
     @property
     def skin(self) -> Skin:

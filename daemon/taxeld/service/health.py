@@ -5,8 +5,8 @@ Each value has a cure in docs/stream.md, or a user in this repository.
 
 from typing import TYPE_CHECKING, Any
 
-from taxeld.pipeline.calibrated import told
 from taxeld.pipeline.poses import AGE_S
+from taxeld.skin.calibration import DAY_S
 from taxeld.stream import messages
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
     pipeline, source, report = daemon.pipeline, daemon.inputs.source, daemon.link.report
     poses = daemon.inputs.pose_figures(daemon.link, t)
     written = daemon.recorder.counters if daemon.recorder else None
+    calibration = pipeline.stages[0].calibration
     parts = {
         "uptime_s": now_s - daemon.start_s,
         "loop": daemon.counters,
@@ -43,7 +44,10 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
             "poses_age_s": poses.age_s,
             "poses_offset_s": poses.offset_s,
         },
-        "calibration": told(pipeline.stages[0].calibration, pipeline.doubt, t),
+        "calibration": {
+            "used": calibration is not None,
+            "age_s": 0.0 if calibration is None else calibration.age_days(t) * DAY_S,
+        },
         "door": {
             "starts": daemon.door.starts,
             "confined": report.confined,

@@ -1,4 +1,4 @@
-"""`taxeld-hil expect`, `matrix` and `calibration`: measurements of many runs."""
+"""`taxeld-hil expect` and `matrix`: measurements of many runs."""
 
 import argparse
 import math
@@ -29,11 +29,6 @@ def add(commands: Commands) -> None:
     matrix.add_argument("--object", action="append", metavar="BUNDLE", help=about)
     options.add_layouts(matrix, "what each object's bundle was built for")
     _add_runs(matrix, seeds=5, foams=("scene", *SOFT))
-
-    calibration = documented(commands, _calibration)
-    _add_runs(calibration, seeds=5, foams=SOFT)
-    about = "instead: draw the calibration of one skin there"
-    calibration.add_argument("--picture", type=Path, metavar="FILE", help=about)
 
 
 def _of_expect(made: argparse.ArgumentParser) -> None:
@@ -111,26 +106,6 @@ def _matrix(args: argparse.Namespace) -> int:
     runs = _saved(todo, args, matrix.described, "scenarios.json")
     print("\n".join(matrix.lines(runs)))
     return 0 if all(run["passed"] for run in runs) else 1
-
-
-def _calibration(args: argparse.Namespace) -> int:
-    """Measure what a calibration finds and how much it helps.
-
-    taxeld-hil calibration --seeds 1 --out calibration
-    """
-    from taxeld_hil.experiment import calibration
-
-    foams = args.foam or args.foams
-    if args.picture:
-        from taxeld_hil.calibration.picture import draw
-
-        draw(calibration.pictured(foams[0]), args.picture)
-        print(args.picture)
-        return 0
-    todo = calibration.jobs(foams, args.seeds)
-    runs = _saved(todo, args, calibration.described, "calibration.json")
-    print("\n".join(calibration.lines(runs)))
-    return 0
 
 
 def _saved(

@@ -20,7 +20,6 @@ from taxeld.layout.files import COLUMNS
 from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.skin.calibration import Calibration
-from taxeld_hil.experiment.calibration import uniform
 from taxeld_hil.experiment.measurement import code
 from taxeld_hil.objects import HEIGHT_M
 from taxeld_hil.rig.rig import Rig
@@ -105,7 +104,7 @@ def known_responses(scenario: Scenario, seed: int) -> Calibration:
     own: Floats = physics.full_scale  # type: ignore[attr-defined]  # both kinds have it
     soft = isinstance(physics, MeshPhysics)
     return replace(
-        uniform(scenario, taxels, 1.0),
+        _uniform(scenario, taxels),
         full_scale_depth_m=rig.model.depth_max_m,
         noise_sigma=noise_sigma,
         gain_cv=gain_cv,
@@ -182,3 +181,29 @@ def _written(layout: Layout, copies: int, place: Path) -> str:
     path = place / f"{stem}-{copies}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.csv"
     path.write_text(text, encoding="ascii")
     return str(path)
+
+
+def _uniform(scenario: Scenario, taxels: int) -> Calibration:
+    """A calibration in which all taxels are alike."""
+    ones, zeros = np.ones(taxels), np.zeros(taxels)
+    return Calibration(
+        t=0.0,
+        digest="",
+        object=scenario.bundle,
+        presses=0,
+        full_scale_depth_m=0.005,
+        full_scale_counts=scenario.full_scale_counts,
+        full_scale_sd=0.0,
+        bend=0.0,
+        bend_sd=0.0,
+        mount=np.zeros(3),
+        mount_sd=np.zeros(3),
+        noise_sigma=0.04,
+        gain_cv=0.17,
+        gain=ones,
+        gain_sd=zeros,
+        onset=zeros,
+        onset_sd=zeros,
+        noise_counts=scenario.skin.noise_counts[0] * ones,
+        frozen=zeros > 0.0,
+    )
