@@ -44,7 +44,7 @@ class Form:
     @classmethod
     def of(cls, estimator: Estimator) -> "Form":
         links = estimator.model.links
-        made = hashlib.sha256(repr((estimator.config, estimator.robot_m, estimator.most)).encode())
+        made = hashlib.sha256(repr((estimator.config, estimator.robot_m)).encode())
         for known in estimator.known:
             for each in known.model.links:
                 made.update(each.layout.digest.encode() + each.layout.uid.astype("<i8").tobytes())
