@@ -22,10 +22,10 @@ FIXED = {
     "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
-    'proposal = "table"': "f2116dd13d976a4d",
-    'proposal = "manifold"\ninjection = "paper"': "05b59c8f66382ea4",
-    'proposal = "table"\nmotion = "push"': "242ce9ef674cc025",
-    'proposal = "manifold"\nparticles = 300': "05ecbedffa8d0b3d",
+    'proposal = "table"': "fb3553756ca3ed8e",
+    'proposal = "manifold"\ninjection = "paper"': "5a1d230c8cb821bc",
+    'proposal = "table"\nmotion = "push"': "6a9c41adea901b2a",
+    'proposal = "manifold"\nparticles = 300': "29f152e554d5f7ca",
 }
 
 

@@ -129,9 +129,9 @@ def test_a_session_without_an_object_is_replayed_as_its_contacts(tmp_path: Path)
 def test_keys_that_need_an_object_are_refused_by_name() -> None:
     tables = {"filter": {"particles": 50, "seed": 0}, "budget": {"propose_ms": 9.0}}
     with pytest.raises(ConfigError) as caught:
-        config(scene={"max_objects": 2}, **tables)
+        config(scene={}, **tables)
     named = [fault.split(":")[0] for fault in caught.value.faults]
-    assert named == ["scene.max_objects", "filter.particles", "budget.propose_ms"]
+    assert named == ["filter.particles", "budget.propose_ms"]
 
 
 def test_check_notes_that_nothing_will_be_estimated(tmp_path: Path) -> None:

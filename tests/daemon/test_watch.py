@@ -131,7 +131,7 @@ def test_a_page_without_messages_says_whom_it_waits_for_and_an_old_page_that_it_
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"v": 1}, "the stream is of version 1, where this taxeld reads 2"),
+        ({"v": 1}, f"the stream is of version 1, where this taxeld reads {messages.VERSION}"),
         ({"v": None}, "is no stream of a taxeld daemon"),
         ({"v": True}, "is no stream of a taxeld daemon"),
         ({"placed": ...}, "/taxeld/taxels: has no 'placed'; use the taxeld of the daemon"),
@@ -154,7 +154,8 @@ def test_a_stream_of_another_version_or_program_is_refused_with_what_is_wrong(
 
 
 VERSION_7 = {messages.INFO: maps()[messages.INFO] | {"v": 7}}
-OTHER = "the stream is of version 7, where this taxeld reads 2; use the taxeld of the daemon\n"
+READS = f"where this taxeld reads {messages.VERSION}"
+OTHER = f"the stream is of version 7, {READS}; use the taxeld of the daemon\n"
 
 
 @pytest.mark.parametrize(

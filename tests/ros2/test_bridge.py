@@ -166,7 +166,7 @@ def test_a_stream_of_another_version_ends_the_bridge_with_one_line(daemon: Daemo
         until(lambda: process.poll() is not None, lambda: daemon.say(v=1))
         assert process.returncode == 1
         said = process.stderr.read()
-    assert said.startswith("the stream is of version 1, where this taxeld reads 2; ")
+    assert said.startswith("the stream is of version 1, where this taxeld reads ")
     assert said.count("\n") == 1
 
 

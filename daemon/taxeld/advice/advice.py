@@ -65,7 +65,7 @@ class Effort:
 
 
 class Advisor:
-    """Advises by an estimator's belief about the first target."""
+    """Advises by an estimator's belief."""
 
     def __init__(
         self, estimator: Estimator, config: AdviceConfig, effort: Effort | None = None

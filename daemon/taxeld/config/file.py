@@ -6,7 +6,7 @@ from typing import Any
 
 from taxeld import files
 from taxeld.config import endpoints, links, toml_tables
-from taxeld.config.tables import SIZES, Config, SceneConfig, SourceConfig
+from taxeld.config.tables import SIZES, Config, SourceConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld_protocol import icub
 
@@ -111,9 +111,9 @@ def _check_scene(config: Config, faults: list[str]) -> None:
         return
     if scene.bundle and scene.bundles:
         faults.append("scene.bundles: is given beside scene.bundle; keep one of the two")
-    if len(scene.names) == scene.max_objects == 1:
+    if len(scene.names) == 1:
         return
-    cure = "name one scene.bundle" if len(scene.names) > 1 else "set scene.max_objects to 1"
+    cure = "name one scene.bundle"
     if learned.injection == "paper":
         faults.append(f"filter.injection: 'paper' knows one object: {cure}")
     if learned.motion == "push":
@@ -122,7 +122,7 @@ def _check_scene(config: Config, faults: list[str]) -> None:
 
 def _of_objects(config: Config) -> list[str]:
     """Keys that are set and mean nothing without an object."""
-    found = ["scene.max_objects"] * (config.scene != SceneConfig())
+    found = list[str]()
     tables: dict[str, Any] = {
         name: getattr(config, name) for name in ("filter", "advice", "budget")
     }
@@ -154,8 +154,6 @@ def _check_advice(config: Config, faults: list[str]) -> None:
         return
     if config.filter.injection != "mixture":
         faults.append("advice.enabled: needs the memory of filter.injection 'mixture'")
-    if config.scene.max_objects > 1:
-        faults.append("advice.enabled: is on one object at a time; set scene.max_objects to 1")
 
 
 def _for_this_user(config: Config) -> Config:

@@ -139,10 +139,6 @@ class SceneConfig:
         (), _bundles, "in place of bundle: the objects that it may be, by name or path"
     )
 
-    max_objects: int = key(
-        1, between(1, 4), "objects that may be touched in turn; each is found by its own touches"
-    )
-
     @property
     def names(self) -> tuple[str, ...]:
         """The bundles of all objects that it may be."""

@@ -6,20 +6,20 @@ explains the contacts, those that were ruled out are tried again on all that is 
 time, while there is nothing else to do.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator import injection
-from taxeld.estimator.estimate import MODES_MAX, Hypotheses, Target
+from taxeld.estimator.estimate import MODES_MAX, Hypotheses
 from taxeld.estimator.evidence import Odds, odds
 from taxeld.estimator.history import MOVED
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.rule import Draw, Rule
 from taxeld.estimator.runs import SWAPPED
-from taxeld.estimator.verdict import Verdict, status
+from taxeld.estimator.verdict import Verdict
 from taxeld.model import se2
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
@@ -113,40 +113,6 @@ class Bank:
         ]
         rest = sorted(every[len(own) :], key=lambda mode: -mode.weight)
         return (*every[: len(own)], *rest)[:MODES_MAX]
-
-    def target(self) -> Target:
-        """The object that this bank is of, in short."""
-        verdict, summary = self.verdict, self.rule.place.summary
-        return Target(
-            object=self.best,
-            objects=tuple(self.objects.tolist()),
-            status=status(verdict, self._touches),
-            contacts=self._touches,
-            p=verdict.p,
-            radius_m=verdict.place.radius_m,
-            map=summary.modes[0].pose,
-            mean=summary.mean,
-            cov=summary.cov,
-        )
-
-    def expectation(self, observation: Observation, number: int) -> float:
-        """Log-likelihood of a contact of this number by the likely objects, in relation to readings
-        without an object."""
-        likely = self.likely
-        told = [self.mixtures[k].expectation(observation, number) for k in likely]
-        share = self.objects[likely] / self.objects[likely].sum()
-        return float(np.logaddexp.reduce(np.array(told) + np.log(share)))
-
-    def searched(
-        self, scans: Sequence[tuple[Observation, int]], objects: Sequence[int]
-    ) -> Iterator[tuple[Floats, Floats]]:
-        """Poses of objects that explain some of the contacts in `scans`, a contact at a time: as
-        `Mixture.explained`. This bank must be new."""
-        for k in objects:
-            rule = self.mixtures[k]
-            rule.search(scans)
-            for scan in np.flatnonzero(rule.memory.contact).tolist():
-                yield rule.explained(scan, self._draws[k])
 
     @property
     def likely(self) -> list[int]:

@@ -60,21 +60,6 @@ class Summary:
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
-    """One of the objects that are touched, with its pose in the world."""
-
-    object: int  # number of the object
-    objects: tuple[float, ...]  # (K,) probabilities of the known objects; the rest: none of them
-    status: Status
-    contacts: int  # contacts that are taken for its own
-    p: float
-    radius_m: float
-    map: Poses  # (3,)
-    mean: Poses  # (3,)
-    cov: Poses  # (3, 3)
-
-
-@dataclass(frozen=True, slots=True)
 class Estimate:
     """The belief in short; poses are of the object in the world."""
 
@@ -95,7 +80,6 @@ class Estimate:
     particles: int
     injected: int  # samples injected by this scan
     proposal: ProposalKind
-    targets: tuple[Target, ...]  # all objects that are touched; this estimate is of the first
     log_evidence: float  # log evidence of this scan; 0 where nothing was learned from it
 
 

@@ -20,7 +20,6 @@ from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import ContactCount, News
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.rule import EstimatorCounters, Rule
-from taxeld.estimator.targets import Targets
 from taxeld.estimator.verdict import status
 from taxeld.model.activation import Activation
 from taxeld.model.lesson import Lesson
@@ -48,13 +47,12 @@ class Estimator:
         config: FilterConfig,
         robot_m: float = SensorPoseConfig().sigma_m,
         more: Sequence[Known] = (),
-        most: int = 1,
         beside: Sequence[Proposal] = (),
     ) -> None:
         """`robot_m`: standard deviation of the sensor's place at a touch, in each direction.
-        `more`: further objects that it may be, on the same layouts. `most`: objects that may be
-        touched in turn. `beside`: samples of contacts on the model's further links."""
-        self.robot_m, self.most = robot_m, most
+        `more`: further objects that it may be, on the same layouts. `beside`: samples of contacts
+        on the model's further links."""
+        self.robot_m = robot_m
         self.model = model  # of the first object
         self.known = [Known(model, proposal, beside), *more]
         self.config = config
@@ -66,15 +64,11 @@ class Estimator:
         config, links = self.config, self.model.links
         rng = np.random.default_rng(config.seed)
         begin = RULES[config.injection]
-
-        def bank() -> Bank:
-            return Bank(
-                [begin(known.model, config, self.robot_m, rng) for known in self.known],
-                [partial(self._draw, known) for known in self.known],
-                first=max(range(len(self.known)), key=self._size_m),
-            )
-
-        self.targets = Targets(bank, self.most)
+        self.bank = Bank(
+            [begin(known.model, config, self.robot_m, rng) for known in self.known],
+            [partial(self._draw, known) for known in self.known],
+            first=max(range(len(self.known)), key=self._size_m),
+        )
         self._rng = rng
         self._kind = ProposalKind.NONE  # proposal of the last samples
         self._intakes = [Intake(each, self.counters, k) for k, each in enumerate(links)]
@@ -90,11 +84,6 @@ class Estimator:
             None  # the last scan, until `think`, if it told nothing
         )
         self.estimate = self._estimate(0.0)
-
-    @property
-    def bank(self) -> Bank:
-        """The beliefs about the target that was touched first."""
-        return self.targets.banks[0]
 
     @property
     def rule(self) -> Rule:
@@ -129,7 +118,7 @@ class Estimator:
             # silence is after the last contact on any link
             number = news.contacts if self.used.is_contact else self._tally.contacts
             self.history.add(self.used, number)
-            self._conclude(observation, *self.targets.learn(self.used, number))
+            self._conclude(observation, *self.bank.learn(self.used, number))
         else:
             self._conclude(observation)
             self.unconsidered = observation
@@ -149,21 +138,20 @@ class Estimator:
         have been moved meanwhile."""
         for observation, number in scans:
             self.history.add(observation, number)
-            self.targets.learn(observation, number)
-            while self.targets.is_behind:
-                self.targets.revisit()
-        while self.targets.is_open and self.targets.revisit():
+            self.bank.learn(observation, number)
+            while self.bank.is_behind:
+                self.bank.revisit()
+        while self.bank.is_open and self.bank.revisit():
             pass
         last = max((number for _, number in scans), default=0)
         self._tally.contacts = last
         self._taught = [last] * len(self._taught)  # the skin has its lessons of these
-        for bank in self.targets.banks:
-            bank.restarted(last)
+        self.bank.restarted(last)
         self.estimate = self._estimate(0.0)
 
     def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> None:
-        """Take a prior of the objects numbered `of`, else of any, in place of the one before; not
-        by the paper's rule, nor with several targets."""
+        """Take a prior of the objects numbered `of`, else of any, in place of the one before; the
+        paper's rule takes none."""
         numbers = range(len(self.known)) if of is None else of
         self.bank.tell(pose, self._tally.contacts, numbers)
         self.estimate = self._estimate(self.estimate.t)
@@ -176,12 +164,12 @@ class Estimator:
     @property
     def is_behind(self) -> bool:
         """Whether `think` has work that the last touch has left."""
-        return self.targets.is_behind
+        return self.bank.is_behind
 
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do."""
-        return self.is_behind or (self.unconsidered is not None and self.targets.is_open)
+        return self.is_behind or (self.unconsidered is not None and self.bank.is_open)
 
     def think(self) -> bool:
         """After a scan that told nothing new, take a second opinion about earlier contacts; →
@@ -189,7 +177,7 @@ class Estimator:
         observation, self.unconsidered = self.unconsidered, None
         if observation is None and not self.is_behind:
             return False
-        samples = self.targets.revisit()
+        samples = self.bank.revisit()
         if samples:
             self.counters.thoughts += 1
             self._conclude(observation or self._newest, samples)
@@ -265,6 +253,5 @@ class Estimator:
             particles=summary.particles,
             injected=injected,
             proposal=self._kind,
-            targets=self.targets.all(),
             log_evidence=log_evidence,
         )

@@ -18,7 +18,7 @@ from taxeld.estimator.compiled import Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.prior_term import PriorTerm
 from taxeld.estimator.reader import Kept, Reader, fields
-from taxeld.estimator.runs import HAZARD, MEANINGLESS, SWAPPED, Runs
+from taxeld.estimator.runs import HAZARD, SWAPPED, Runs
 from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Nearby, Observation, ObservationModel
@@ -106,7 +106,6 @@ class Memory:
         self._compiled = [compiled(each, noise) for each in model.links]
         # of each link; the same for all objects
         self.readers = [Reader(each, noise) for each in model.links]
-        self.least = float(np.log(MEANINGLESS))  # log odds that a contact is of something else
         self._forget(prior)
 
     def _forget(self, prior: Prior | None) -> None:
@@ -193,7 +192,7 @@ class Memory:
             if not touched[at]:  # evidence is in relation to poses that touch, and none did yet
                 opens[at] = True
                 begun[at] -= (at > 0) * (term.table.log_volume - term.table.log_touched)
-        return Runs(shares, usual, touched, begun, self.least, is_known=prior > 0, opens=opens)
+        return Runs(shares, usual, touched, begun, opens=opens, is_known=prior > 0)
 
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
         """A memory of one scan more, of contact `number`, or a silent scan after that contact.

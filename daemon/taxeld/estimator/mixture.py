@@ -1,7 +1,6 @@
 """The rule that remembers: samples are brought to explain all that is remembered, and merged with
 the belief by their evidence."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -232,31 +231,6 @@ class Mixture:
             self.belief.remembered = self.memory.explain(self.belief.pose)
         self._judge(opinions=0)
         return used
-
-    def expectation(self, observation: Observation, number: int) -> float:
-        """Log-likelihood of a contact of this number by the belief, in relation to readings without
-        an object."""
-        memory, belief = self.memory.plus(observation, number), self.belief
-        told = memory.explain_newest(belief.pose) - memory.anything[-1]
-        return _log_mean(told + belief.log_weight + np.log(len(belief)))
-
-    def search(self, scans: Sequence[tuple[Observation, int]]) -> None:
-        """Remember scans with the numbers of their contacts, of which any may be of something
-        else."""
-        for observation, number in scans:
-            self.memory = self.memory.plus(observation, number)
-        self.memory.least = 0.0
-
-    def explained(self, scan: int, draw: Draw) -> tuple[Floats, Floats]:
-        """Poses of contact scan number `scan` that explain others as well: log-likelihoods of all
-        contacts (N, C) and of silence (N,)."""
-        memory = self.memory
-        samples = drawn(draw, memory.scan(scan), self._config.injected)
-        remembered = np.empty((0, memory.terms))
-        if len(samples):
-            remembered = self.opinion(samples, scan, self._rng).remembered
-        touch, silence = memory.runs.apart(remembered)
-        return touch[:, memory.runs.touched], silence.sum(axis=1)
 
     def expected(self, after: int, link: int, /) -> Lesson | None:
         memory = self.memory

@@ -15,6 +15,7 @@ from taxeld.arrays import Bools, Floats
 HAZARD = 2e-3  # probability that the object moved between two contacts
 SWAPPED = float(np.log(0.1))  # log share of the moves in which another known object took its place
 MEANINGLESS = 1e-3  # probability that a contact has nothing to do with the object
+LEAST = float(np.log(MEANINGLESS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +26,6 @@ class Runs:
     usual: Floats  # (2 R,) log-likelihoods of the same without this object
     touched: Bools  # (R,) whether a step has a contact
     begun: Floats  # (R,) log prior of a run from each step on, with the evidence before it
-    least: float = float(np.log(MEANINGLESS))  # log odds that a contact is of something else
     opens: Bools | None = None  # (R,) steps that runs may begin with; None: those with a contact
     is_known: bool = False  # whether a prior tells where the object was before the first step
 
@@ -38,16 +38,10 @@ class Runs:
 
     def each(self, explained: Floats) -> Floats:
         """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""
-        touch, silence = self.apart(explained)
-        least = np.where(self.touched, self.least, -np.inf)
+        touch, silence = np.hsplit(explained @ self.shares - self.usual, 2)
+        least = np.where(self.touched, LEAST, -np.inf)
         met = np.logaddexp(touch, least) + silence
         return np.asarray(met[:, ::-1].cumsum(axis=1)[:, ::-1] + self.open)
-
-    def apart(self, explained: Floats) -> tuple[Floats, Floats]:
-        """Log-likelihoods of each step's contact and of its silence, in relation to readings
-        without this object: explained (N, terms) → 2 × (N, R)."""
-        touch, silence = np.hsplit(explained @ self.shares - self.usual, 2)
-        return touch, silence
 
     def support(self, explained: Floats) -> Floats:
         """Log-density of poses, up to the uniform prior's: explained (N, terms) → (N,)."""

@@ -35,9 +35,8 @@ class Believing:
         """`samples` are of each of the objects; the skins of `stages` are taught."""
         first, *more = objects
         others = [Known(one, samples.of(k), samples.beside(one)) for k, one in enumerate(more, 1)]
-        robot_m, most = config.sensor_pose.sigma_m, config.scene.max_objects
-        own, beside = samples.of(0), samples.beside(first)
-        self.estimator = Estimator(first, own, config.filter, robot_m, others, most, beside)
+        robot_m, own, beside = config.sensor_pose.sigma_m, samples.of(0), samples.beside(first)
+        self.estimator = Estimator(first, own, config.filter, robot_m, others, beside)
         self._config, self._samples, self._stages = config, samples, stages
         self._learns = config.skin.learn and config.filter.motion == "none"
         advisor = Advisor(self.estimator, config.advice) if config.advice.enabled else None
@@ -104,8 +103,8 @@ class Believing:
     def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
         """Take a prior of the objects numbered `of`, else of any; → why it cannot be taken, empty
         where it was."""
-        if self._config.filter.injection != "mixture" or self._config.scene.max_objects > 1:
-            return "prior: needs filter.injection = mixture and scene.max_objects = 1"
+        if self._config.filter.injection != "mixture":
+            return "prior: needs filter.injection = mixture"
         self.estimator.tell(pose, of)
         self._advising.changed()
         return ""

@@ -107,8 +107,7 @@ class Freshness:
         stopped = Status.STARTING if why is Why.STARTING else Status.STALE
         if why is Why.VALID:
             return estimate
-        targets = tuple(replace(one, status=stopped) for one in estimate.targets)
-        return replace(estimate, status=stopped, targets=targets)
+        return replace(estimate, status=stopped)
 
     def why(self, estimate: Estimate, now_s: float | None = None) -> Why:
         """Why a subscriber may not use the last estimate, VALID where it may; `now_s` as above."""

@@ -55,7 +55,6 @@ NOTHING = Estimate(  # without an object: it carries the status of the inputs, a
     particles=0,
     injected=0,
     proposal=ProposalKind.NONE,
-    targets=(),
     log_evidence=0.0,
 )
 

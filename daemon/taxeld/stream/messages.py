@@ -15,7 +15,7 @@ import numpy as np
 from taxeld import __version__
 from taxeld.advice.advice import Advice, Approach
 from taxeld.arrays import Floats, Poses
-from taxeld.estimator.estimate import Estimate, ProposalKind, Status, Target
+from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import Activation
@@ -51,7 +51,7 @@ __all__ = [  # all names beside this module's own
 
 OTHER = "other"  # in `objects`: none of the known ones
 ALONE = 2  # entries of `objects` with a single known one
-VERSION = 2  # version of the stream: `v` in every message
+VERSION = 3  # version of the stream: `v` in every message
 
 WAY = ("before", "at", "until")  # poses of an approach
 FIGURES = ("direction", "depth_m", "p_sure", "gain", "p_touch")
@@ -87,7 +87,6 @@ def estimate(
         "hypotheses": e.hypotheses._asdict(),
         "object": e.object,
         "objects": _named(e.objects, names),
-        "estimates": [_target(one, names) for one in e.targets],
         "contact": e.contact,
         "contacts": e.contacts,
         "map": _pose(e.map),
@@ -106,20 +105,6 @@ def estimate(
         "degraded": degraded,
         "lat_us": lat_us or dict.fromkeys(STAGES, 0.0),
         **({"links": [int(each) for each in links]} if len(links) > 1 else {}),
-    }
-
-
-def _target(one: Target, names: Sequence[str]) -> dict[str, Any]:
-    return {
-        "object": one.object,
-        "objects": _named(one.objects, names),
-        "status": int(one.status),
-        "contacts": one.contacts,
-        "p": one.p,
-        "radius_m": one.radius_m,
-        "map": _pose(one.map),
-        "mean": _pose(one.mean),
-        "cov": one.cov.tolist(),
     }
 
 

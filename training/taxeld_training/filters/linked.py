@@ -25,7 +25,6 @@ from taxeld_hil.integrity import Claims
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.follow import OWN_SEEDS
-from taxeld_training.filters.pairs import BETWEEN_S, OTHER_SEEDS
 from taxeld_training.filters.several import TABLED
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.filters.trials import Trial, TrialScan
@@ -36,6 +35,8 @@ from taxeld_training.objects.setting import ring
 
 SEEDS, QUICK_SEEDS = 40, 1
 BLOCK = 5  # seeds a job
+BETWEEN_S = 1.0  # time between two touches
+OTHER_SEEDS = 2**20  # added to a trial's seed for each further link's touches
 OBJECT = "003_cracker_box"
 SKINS = ("exact", "typical")  # of `FOAMS`
 TURNS = {"first": (0,), "second": (1,), "both": (0, 1)}  # the links that touch, in turn

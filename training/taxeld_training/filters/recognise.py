@@ -16,10 +16,9 @@ import numpy as np
 
 from taxeld_hil.integrity import is_found, is_sure
 from taxeld_hil.objects import meshes
-from taxeld_training.filters import pairs, several
+from taxeld_training.filters import several
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, setting_of
 from taxeld_training.filters.levels import UNMET
-from taxeld_training.filters.pairs import Both, Pair
 from taxeld_training.filters.several import Compared, Crowd, Recognised
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.jobs import blocks, identities
@@ -35,8 +34,6 @@ QUICK_OBJECTS = 2
 BLOCK = 10  # seeds a job
 TEN, OTHER_TEN = "the ten", "ten others"  # names of the filters, by the objects that they know
 SKINS = ("exact", "typical")  # of `FOAMS`
-TWO = "003_cracker_box", "025_mug"  # objects that are touched in turn, or the first that are known
-PAIR_SEEDS = 0.4  # factor of the number of trials with two objects
 ALL = "all"
 SHOWN = (2, 4, 6)  # contacts with a confusion matrix
 TOLD = (4, 6, 8)  # contacts after which unknown objects are looked for
@@ -64,7 +61,6 @@ def recognise_rows(options: Options) -> list[Path]:
         for (of, names), skin in ((one, skin) for one in each.items() for skin in SKINS)
         for row in _rows({"of": of, "skin": skin}, names, done)
     ]
-    found += pair_rows(options)
     data = write(options, "recognise", found, tables(found))
     identity_chart.draw([row for row in found if row["of"] == TEN], data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
@@ -100,35 +96,6 @@ def _seeds(options: Options) -> int:
 def _setting(name: str, options: Options) -> Setting:
     setting, layout = setting_of(name, COLUMNS, options), options.layouts[0]
     return replace(setting, skin=layout, columns=0) if layout else setting
-
-
-def pair_rows(options: Options) -> list[dict[str, Any]]:
-    """Rows of trials of two objects that are touched in turn: of one kind, and of two."""
-    names = TWO if not (options.objects or options.quick) else (options.objects or OBJECTS)[:2]
-    first, last = (_setting(name, options) for name in (names[0], names[-1]))
-    count = max(round(PAIR_SEEDS * _seeds(options)), 1)
-    both = dict.fromkeys(((first, first), (first, last), (last, last)))
-    where = {Pair(*pair, FOAMS[skin]): skin for skin in SKINS for pair in both}
-    done = blocks.trials(dict.fromkeys(where, count), pairs.play, options, BLOCK)
-    return [
-        {"figure": "two", "of": TEN, "skin": where[pair]}
-        | {"one": pair.one.object, "other": pair.other.object}
-        | row
-        for pair, runs in done.items()
-        for row in _of_pair([[Both(*touch) for touch in run] for run in runs.values()])
-    ]
-
-
-def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:
-    told = np.array(runs)  # (N, touches, 4)
-    return [
-        {"contact": contact, "seeds": len(told)}
-        | share("two", told[:, contact - 1, 0] == 2)
-        | share("found", is_found(told[:, contact - 1, 1]))
-        | {"sure_targets": int(told[:, contact - 1, 2].sum())}
-        | {"misleading_targets": int(told[:, contact - 1, 3].sum())}
-        for contact in range(2, told.shape[1] + 1, 2)
-    ]
 
 
 def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[str, Any]]:

@@ -5,7 +5,6 @@ from typing import Any
 
 from taxeld_training.jobs.rows import Cell, Row, object_name, table
 
-PAIR_SHOWN = (4, 8, 12, 16)  # touches of two objects together
 SHOWN = (1, 2, 4, 6, 8)  # contacts that the tables speak of
 
 
@@ -13,7 +12,7 @@ def tables(rows: Sequence[Row]) -> str:
     """Figures by object, of unknown objects, and of what it costs."""
     of = {
         figure: [row for row in rows if row["figure"] == figure]
-        for figure in ("identity", "unknown", "two", "cost")
+        for figure in ("identity", "unknown", "cost")
     }
     told = [row for row in of["unknown"] if "contact" in row]
     place = {"knows": lambda row: str(row["of"]), "skin": lambda row: str(row["skin"])}
@@ -38,22 +37,6 @@ def tables(rows: Sequence[Row]) -> str:
             {
                 "AUROC of other": lambda each: f"{each[0]['auroc']:.3f}",
                 "sure": lambda each: f"{each[0]['sure_then']:.2%}",
-            },
-        ),
-        table(
-            [row for row in of["two"] if row["contact"] in PAIR_SHOWN],
-            {
-                "two objects": lambda row: " and ".join(
-                    object_name(row[k]) for k in ("one", "other")
-                ),
-                "skin": place["skin"],
-                "touches in all": lambda row: str(row["contact"]),
-            },
-            {
-                "both under 10 mm": lambda each: f"{each[0]['found']:.0%}",
-                "two are told": lambda each: f"{each[0]['two']:.0%}",
-                "sure": lambda each: str(each[0]["sure_targets"]),
-                "of these misleading": lambda each: str(each[0]["misleading_targets"]),
             },
         ),
         table(of["cost"], place, {heading: _cost(*keys) for heading, keys in COSTS.items()}),
