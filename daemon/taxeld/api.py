@@ -10,9 +10,11 @@ commands start at once.
 """
 
 from taxeld.advice.advice import Advice, Advisor, Approach
+from taxeld.advice.lines import Reach
+from taxeld.commands.advise import advise
 from taxeld.commands.replay import Replay
 from taxeld.config.file import load as load_config
-from taxeld.config.tables import AdviceConfig, Config, FilterConfig, SkinConfig
+from taxeld.config.tables import Config, FilterConfig, SkinConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
@@ -29,13 +31,11 @@ from taxeld.pipeline.outcome import Outcome
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.bundle import load as load_bundle
 from taxeld.skin.skin import Skin
-from taxeld.stream.messages import advice_of
 from taxeld_protocol.decoder import Scan
 
 __all__ = [
     "Activation",
     "Advice",
-    "AdviceConfig",
     "Advisor",
     "Approach",
     "Bundle",
@@ -52,6 +52,7 @@ __all__ = [
     "PoseMetric",
     "Proposal",
     "ProposalKind",
+    "Reach",
     "Replay",
     "Scan",
     "Scene",
@@ -60,7 +61,7 @@ __all__ = [
     "SkinConfig",
     "Status",
     "Why",
-    "advice_of",
+    "advise",
     "load_bundle",
     "load_config",
     "load_layout",

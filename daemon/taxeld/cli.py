@@ -201,6 +201,32 @@ def _ask(args: argparse.Namespace) -> int:
     return 0
 
 
+def _advise(args: argparse.Namespace) -> int:
+    """Tell where to touch next, by what a running daemon has felt.
+
+    taxeld advise can0.toml
+    taxeld advise can0.toml --json --follow
+    taxeld advise can0.toml --reach 0.2 0.8 -0.3 0.3
+    """
+    from taxeld.advice.lines import Reach
+    from taxeld.commands import advise
+
+    given = {"box_m": args.reach, "yaw_deg": args.yaw_deg, "directions_deg": args.directions_deg}
+    given |= {"clearance_m": args.clearance_m, "depth_m": args.depth_m}
+    reach = Reach(**{name: _plain(value) for name, value in given.items() if value is not None})
+    config, stopping = load(args.config), command_line.stopping()
+    for advice in advise.follow(config, reach, args.keys, stopping):
+        say = [advise.as_json(advice, config.names)] if args.json else []
+        print("\n".join(say or advise.lines(advice, config.names)), flush=True)
+        if not args.follow:
+            break
+    return 0
+
+
+def _plain(value: float | list[float]) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
 def _prior(args: argparse.Namespace) -> dict[str, Any]:
     (x, y), (sx, sy, turn) = args.at, args.sd
     found = {"x": x, "y": y, "theta": args.yaw, "cov": [sx, sy, turn]}
@@ -221,6 +247,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_sessions(commands)
     _add_skin(commands)
     _add_asking(commands)
+    _add_advise(commands)
     view_cli.add(commands)
     return parser
 
@@ -289,6 +316,23 @@ def _add_skin(commands: Commands) -> None:
     add = documented(commands, _layout).add_argument
     add("layout", metavar="LAYOUT", help="cylinder:… or wrap:…, a .json, .csv or .txt file")
     add("--png", type=Path, metavar="OUT", help="draw it, unrolled and cut across")
+
+
+def _add_advise(commands: Commands) -> None:
+    made = documented(commands, _advise)
+    add = made.add_argument
+    add("config", type=Path, metavar="CONFIG", help="the daemon's configuration")
+    add("--json", action="store_true", help="one line of JSON for each advice")
+    add("--follow", action="store_true", help="again whenever more was felt, until stopped")
+    about = "where the sensor can be in the world [m]; without it, the filter's square"
+    add("--reach", type=float, nargs=4, metavar=("X", "X", "Y", "Y"), help=about)
+    about = "directions of motion in the world (default: 24 all around)"
+    add("--directions-deg", type=float, nargs="+", metavar="D", help=about)
+    add("--yaw-deg", type=float, nargs=2, metavar=("LEAST", "MOST"), help="yaw of the sensor")
+    about = "approaches begin so far from wherever the object may be"
+    add("--clearance-m", type=float, metavar="M", help=about)
+    add("--depth-m", type=float, metavar="M", help="how far to go on once something is touched")
+    command_line.add_keys(made)
 
 
 def _add_asking(commands: Commands) -> None:

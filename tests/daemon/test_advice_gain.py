@@ -1,7 +1,7 @@
 """Advised touches tell more than others: of a round body of which only a handle tells how it is
 turned, the handle is to be met, by a link whose skin feels it."""
 
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +10,10 @@ import pytest
 from taxeld.advice import hypotheses, lines
 from taxeld.advice.advice import Advice, Advisor, Approach
 from taxeld.advice.hypotheses import Guesses
-from taxeld.advice.lines import Lines
+from taxeld.advice.lines import Lines, Reach
 from taxeld.advice.outcomes import MISS_M, Outcomes
 from taxeld.arrays import Bools, Poses
-from taxeld.config.tables import AdviceConfig, FilterConfig
+from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
@@ -76,25 +76,20 @@ def both(monkeypatch: pytest.MonkeyPatch) -> Guesses:
     pose = off + np.repeat([TRUTH, TURNED], 10, axis=0)
     made = Guesses(pose, np.zeros(20, np.intp), np.full(20, 0.05), 0)
 
-    def drawn(*_: object) -> Generator[None, None, Guesses]:
-        yield
+    def drawn(*_: object) -> Guesses:
         return made
 
     monkeypatch.setattr(hypotheses, "drawn", drawn)
     return made
 
 
-def asked(subject: Estimator, config: AdviceConfig) -> Advice:
-    advisor = Advisor(subject, config)
-    while not advisor.step():
-        pass
-    assert advisor.advice is not None
-    return advisor.advice
+def asked(subject: Estimator, reach: Reach) -> Advice:
+    return Advisor(subject, reach).advise()
 
 
 def all_of(subject: Estimator, found: Guesses) -> Iterator[tuple[Lines, float, Approach]]:
     """Every approach that advice chooses from, and the probability that it leaves one pose."""
-    advisor, outcomes = Advisor(subject, AdviceConfig()), Outcomes(subject, found)
+    advisor, outcomes = Advisor(subject, Reach()), Outcomes(subject, found)
     free, ways = advisor.free(advisor.fan(found, 0), found)
     for c in range(len(free)):
         line = free.only(slice(c, c + 1))
@@ -115,7 +110,7 @@ def test_an_advised_touch_tells_apart_what_most_others_leave_open(
 ) -> None:
     model = handled(skin)
     subject = torn(model)
-    best = asked(subject, AdviceConfig()).approaches[0]
+    best = asked(subject, Reach()).approaches[0]
     every = list(all_of(subject, both))
     usual = float(np.mean([sure for _, sure, _ in every]))
     assert best.p_sure > 0.95
@@ -141,7 +136,7 @@ def test_a_link_whose_skin_faces_away_is_not_advised_though_it_would_come_first(
 
     right = skin.normal[:, 0] > 0.3
     ahead = (float(np.degrees(TRUTH[2])) + 180.0,)  # onto the handle, from outside
-    config = AdviceConfig(directions_deg=ahead, yaw_deg=(0.0, 0.0))
+    config = Reach(directions_deg=ahead, yaw_deg=(0.0, 0.0))
     for layouts, feels in (((right, ~right), 1), ((~right, right), 0)):
         first, second = map(only, layouts)
         model = handled(first, second)

@@ -1,105 +1,149 @@
-"""`taxeld advise`: what a running daemon advises, for a person or a program."""
+"""`taxeld advise`: a client that learns what a daemon has felt, and advises by it."""
 
+import io
 import json
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import msgpack
+import numpy as np
 import pytest
-import zmq
 
-from taxeld.commands import check
-from taxeld.config.file import parse
-from taxeld.stream import messages
-from taxeld.view import advise
+from taxeld.commands import advise
+from taxeld.config.file import load, parse
+from taxeld.estimator.history import Arrays
+from taxeld.model import se2
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld.proposals import bundle
+from taxeld.proposals.bundle import Bundle
+from taxeld.service.loop import Daemon
+from taxeld.service.publisher import MEMORY_S
+from taxeld.service.ticker import Ready
+from taxeld.stream import client
 from tests.rig.commands import printed, refused
 
-from .conftest import Sockets
-from .test_loop import settings
-from .test_stream_document import documented
+from .test_loop import Touches, settings
+from .test_pipeline import CONFIG, ROBOT, SKIN, TRUTH, pipeline_of, story, taken
 
-_, INFO = documented("/taxeld/info")
-_, ADVICE = documented("/taxeld/advice")
-LATER = ADVICE | {"contacts": 4, "enough": True, "approaches": []}
-Speak = Callable[..., str]
+Answer = Callable[[dict[str, Any] | None], None]
+
+
+@pytest.fixture(scope="module")
+def box() -> Bundle:
+    return bundle.load("box", SKIN, 0.005)
 
 
 @pytest.fixture
-def speak(sockets: Sockets, tmp_path: Path) -> Iterator[Speak]:
-    """Has a daemon send maps, one after the other, again and again; → where."""
-    publisher: zmq.Socket[Any] = sockets.open(zmq.XPUB)
-    endpoint, ended, speakers = f"ipc://{tmp_path}/stream", threading.Event(), []
-    publisher.bind(endpoint)
-
-    def send(advice: tuple[dict[str, Any], ...]) -> None:
-        said = [(messages.INFO, INFO), *((messages.ADVICE, one) for one in advice)]
-        while not ended.wait(0.005):
-            for topic, body in said:
-                publisher.send_multipart([topic, msgpack.packb(body), b"0.0"])
-
-    def begin(*advice: dict[str, Any]) -> str:
-        speakers.append(threading.Thread(target=send, args=[advice]))
-        speakers[0].start()
-        return endpoint
-
-    yield begin
-    ended.set()
-    for speaker in speakers:
-        speaker.join()
+def felt(box: Bundle) -> Pipeline:
+    """What a daemon has felt of the box in one touch."""
+    pipeline = pipeline_of(box, ROBOT)
+    taken(pipeline, story(box, 5.0))
+    return pipeline
 
 
-def test_it_tells_the_best_approaches_in_the_robots_words(speak: Speak) -> None:
-    said = printed("advise", "--endpoint", speak(ADVICE)).splitlines()
-    assert said == [
-        "after 3 contacts, best first:",
-        "1. from x 0.3100 m, y -0.0500 m, yaw 3.100 rad",
-        "   along 180°, until x 0.0600 m, y -0.0500 m at most",
-        "   contact expected at x 0.2200 m, y -0.0500 m; then press 3.0 mm",
-        "   touches 97%, sure afterwards 62%, gain 4.1 mm",
-    ]
+@pytest.fixture
+def answer(monkeypatch: pytest.MonkeyPatch) -> Answer:
+    """Sets what the daemon answers."""
+    return lambda given: monkeypatch.setattr(client, "ask", lambda *_: given)
 
 
-def test_in_the_end_it_says_that_no_touch_would_tell_more(speak: Speak) -> None:
-    said = printed("advise", "--endpoint", speak(LATER))
-    assert said == "after 4 contacts: no touch would tell more\n"
+def answered(memory: Arrays) -> dict[str, Any]:
+    packed = io.BytesIO()
+    np.savez(packed, allow_pickle=False, **memory)
+    return {"ok": True, "memory": packed.getvalue()}
 
 
-def test_a_program_gets_the_message_itself(speak: Speak) -> None:
-    assert json.loads(printed("advise", "--json", "--endpoint", speak(ADVICE))) == ADVICE
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """The daemon's configuration."""
+    path = tmp_path / "can0.toml"
+    path.write_text(CONFIG + ROBOT, encoding="utf-8")
+    return path
 
 
-def test_each_new_advice_is_told_once_until_it_is_stopped(
-    speak: Speak, capsys: pytest.CaptureFixture[str]
+def test_it_advises_by_what_the_daemon_has_felt(
+    felt: Pipeline, answer: Answer, config: Path
 ) -> None:
-    heard = list[str]()
+    answer(answered(felt.estimator.memory))
+    said = printed("advise", config).splitlines()
+    assert said[0] == "after 1 contacts, best first:"
+    assert said[1].startswith("1. from x ")
+    told = json.loads(printed("advise", "--json", config))
+    assert (told["contacts"], told["enough"]) == (1, False)
+    best = told["approaches"][0]
+    away_m = np.hypot(best["at"]["x"] - TRUTH[0], best["at"]["y"] - TRUTH[1])
+    assert 0.02 < away_m < 0.3
+    assert 0.0 < best["p_touch"] <= 1.0
+
+
+def test_the_same_memory_gives_the_same_advice(felt: Pipeline, config: Path) -> None:
+    first, again = (advise.Adviser(load(config)) for _ in range(2))
+    memory = felt.estimator.memory
+    said = [advise.as_json(one.advise(memory), ("",)) for one in (first, first, again)]
+    assert said[0] == said[1] == said[2]
+
+
+def test_approaches_are_told_in_the_poses_that_the_robot_sends(
+    felt: Pipeline, config: Path
+) -> None:
+    adviser, mount = advise.Adviser(load(config)), np.array([0.003, -0.002, 0.1])
+    own = adviser.advise(felt.estimator.memory).approaches[0]
+    adviser._mounts = [mount]
+    robot = adviser.advise(felt.estimator.memory).approaches[0]
+    assert se2.compose(robot.at, mount) == pytest.approx(own.at)
+
+
+def test_where_there_is_no_advice_it_says_why(
+    felt: Pipeline, answer: Answer, config: Path, tmp_path: Path
+) -> None:
+    answer(None)
+    assert "no daemon answers" in refused("advise", config)
+    answer({"ok": False, "error": "nothing was felt yet: touch the object first"})
+    assert "nothing was felt yet" in refused("advise", config)
+    answer(answered(felt.estimator.memory | {"digest": np.array("other")}))
+    assert "the daemon has another scene" in refused("advise", config)
+    assert refused("advise", config, "--reach", 1, 0, 0, 1).startswith("reach: (1.0, 0.0, ")
+    bare = tmp_path / "bare.toml"
+    text = settings(tmp_path)
+    bare.write_text(text.replace('bundle = "box"', 'bundle = ""'), encoding="utf-8")
+    assert refused("advise", bare).startswith("scene.bundle: is empty")
+
+
+def test_following_tells_again_only_once_more_was_felt(
+    felt: Pipeline, answer: Answer, config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(advise, "LOOK_S", 0.0)
+    memory, looks = felt.estimator.memory, iter(range(6))
+    answer(answered(memory))
 
     def stopping() -> bool:
-        heard.extend(capsys.readouterr().out.splitlines())
-        return len(heard) >= 4
+        look = next(looks)
+        if look == 3:
+            answer(answered(memory | {"changes": memory["changes"] + 1}))
+        return look == 5
 
-    endpoint = speak(ADVICE, ADVICE, LATER)
-    assert advise.advise(endpoint, None, stopping, as_json=True, follow=True)
-    told = [json.loads(line)["contacts"] for line in heard]
-    assert told[:4] in ([3, 4, 3, 4], [4, 3, 4, 3]), "each change"
+    found = list(advise.follow(load(config), advise.Reach(), None, stopping))
+    assert len(found) == 2
 
 
-def test_where_none_comes_it_says_what_may_be_wrong(
-    speak: Speak, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_loop_hands_over_what_was_felt_out_of_contact_and_at_most_once_a_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(advise, "ANSWER_S", 0.5)
-    said = refused("advise", "--endpoint", f"ipc://{tmp_path}/nobody", status=1)
-    assert "no daemon answers" in said
-    said = refused("advise", "--endpoint", speak(), status=1)
-    assert "no advice comes: set advice.enabled in its configuration" in said
-    config = tmp_path / "can0.toml"
-    config.write_text(settings(tmp_path), encoding="utf-8")
-    assert refused("advise", config).startswith("advice.enabled: is false")
-
-
-def test_check_notes_that_a_sensor_at_rest_follows_nothing(tmp_path: Path) -> None:
-    text = settings(tmp_path) + "[advice]\nenabled = true\n"
-    assert check.notes(parse(text)) == [check.STILL]
-    robot = '[sensor_pose]\nendpoint = "ipc:///robot"\n'
-    assert check.notes(parse(text + robot)) == []
+    daemon = Daemon(parse(settings(tmp_path)))
+    touches, given = Touches(daemon, monkeypatch), list[tuple[float, bool]]()
+    monkeypatch.setattr(
+        daemon.link,
+        "remember",
+        lambda _: given.append((touches.now, daemon.pipeline.is_touched)),
+    )
+    try:
+        for _ in range(120):
+            touches.now += 0.05
+            touches.tick([touches.next()], Ready(device=True))
+            touches.tick([], Ready())
+    finally:
+        daemon.close()
+    times = [now for now, _ in given]
+    assert len(times) >= 3, "after each touch"
+    assert not any(touched for _, touched in given)
+    assert min(np.diff(times)) >= MEMORY_S

@@ -103,13 +103,6 @@ def test_modes_and_particles_are_arrays_of_poses(heard: Heard, said: Said) -> No
         assert [p.position.y for p in message.poses] == [p[1] for p in cloud["xytheta"]]
 
 
-def test_the_best_approach_is_an_array_of_its_poses() -> None:
-    stage, advice = recorded(SESSION)[0], documented("/taxeld/advice")[1]
-    ((topic, message),) = export._made(stage, (messages.ADVICE, advice))
-    assert export.TYPES[topic] == "geometry_msgs/PoseArray"
-    assert [pose["position"]["x"] for pose in message["poses"]] == [0.31, 0.22, 0.06]
-
-
 def test_taxels_are_points_in_a_frame_that_moves_with_the_sensor(heard: Heard, said: Said) -> None:
     position = recorded(SESSION)[0].position_m
     taxels = said[messages.TAXELS]

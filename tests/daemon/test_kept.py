@@ -21,13 +21,13 @@ from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.history import MOVED, Used
+from taxeld.estimator.history import MOVED, Used, scan_arrays, scans_of
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.service import kept, kept_file
-from taxeld.service.kept import NAME, Store, directory, scan_arrays, scans_of
+from taxeld.service.kept import NAME, Store, directory
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
 from tests.rig.clocks import until

@@ -33,7 +33,7 @@ SESSION = Path(__file__).parent / "session"  # four contacts of a mug
 CONFIG = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
 ALWAYS = (
     "/world/link /world/link/body /world/link/skin /world/object /world/object/slices /world/modes "
-    "/world/radius /world/particles /world/advice /status/now /status/log /plot/belief /plot/spread"
+    "/world/radius /world/particles /status/now /status/log /plot/belief /plot/spread"
 )
 
 
@@ -72,18 +72,6 @@ def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(tmp_path
     assert whole["/plot/latency"] == always, "a replay measures no time"
     begin = drawn(tmp_path / "begin.rrd", str(SESSION), "--seconds", "2")
     assert 0 < begin["/world/link"] < whole["/world/link"] / 2
-
-
-@pytest.mark.check
-def test_advice_is_drawn_until_the_next_touch(tmp_path: Path) -> None:
-    place = Path(shutil.copytree(SESSION, tmp_path / "session"))
-    with (place / "config.toml").open("a", encoding="utf-8") as config:
-        config.write("[advice]\nenabled = true\n")
-    said = [m for topic, m in recorded(place)[1] if topic == messages.ADVICE]
-    assert len({m["contacts"] for m in said}) > 1
-    found, always = drawn(tmp_path / "run.rrd", str(place)), 1
-    removed = sum(m["contacts"] < 4 for m in said)
-    assert always + len(said) < found["/world/advice"] <= always + len(said) + removed
 
 
 def test_where_a_session_has_the_truth_the_error_is_that_of_the_true_pose(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def test_status_and_info_are_the_last_messages(stand: Stand) -> None:
 
 
 def test_unknown_requests_are_named(stand: Stand) -> None:
-    known = "known: status, info, tare, reset, prior"
+    known = "known: status, info, memory, tare, reset, prior"
     assert stand.answer({"cmd": "play"})["error"] == f"unknown cmd 'play'; {known}"
     assert (
         stand.answer({"cmd": "tare", "hard": 1})["error"] == "unknown key 'hard'; tare takes none"

@@ -1,6 +1,5 @@
 """A virtual robot that follows a daemon's advice."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +8,7 @@ import pytest
 
 from taxeld.advice.advice import Advice, Approach
 from taxeld.arrays import Floats
-from taxeld.commands.replay import Replay
 from taxeld.model import contacts, se2
-from taxeld.stream import messages
 from taxeld_hil import cli
 from taxeld_hil.rig.rig import IDLE_S, Rig
 from taxeld_hil.run.fake_run import FakeRun
@@ -86,23 +83,11 @@ def test_it_follows_no_advice_from_before_the_end_of_its_last_touch() -> None:
 
 
 @pytest.mark.check
-def test_few_touches_find_the_object_and_the_session_gives_the_same_advice(tmp_path: Path) -> None:
+def test_few_touches_find_the_object(tmp_path: Path) -> None:
     run = FakeRun(ADVISED, seed=0)
     found = run.graded("advised", tmp_path)
     assert found.passed, [check for check in found.checks if check.passed is False]
     assert len(run.rig.path.touched) <= ADVISED.contacts
-    first, again = advised(tmp_path), advised(tmp_path)
-    assert first == again
-    assert len(set(first)) > ADVISED.contacts - 2, "anew after each touch"
-
-
-def advised(session: Path) -> list[str]:
-    """The advice after each scan of a session."""
-    replay, told = Replay(session), list[str]()
-    for _ in replay:
-        advice = replay.pipeline.advice
-        told.append("" if advice is None else json.dumps(messages.advice(advice, 0.0, 0, [""])))
-    return told
 
 
 def test_on_hardware_the_robot_is_not_ours(tmp_path: Path) -> None:

@@ -1,21 +1,19 @@
-"""Advice: the approaches that would tell most, found in pieces of work.
+"""Advice: the approaches that would tell most.
 
 Every line of a fan is judged by how far the link would get; the best of them also by what it would
 read (`outcomes`). An approach begins where no hypothesis is near, and the way there on the circle
 around them all is free as well, as far as the link reaches it.
 """
 
-from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
 
 from taxeld.advice import hypotheses, lines
 from taxeld.advice.hypotheses import Guesses
-from taxeld.advice.lines import Lines
+from taxeld.advice.lines import Lines, Reach
 from taxeld.advice.outcomes import Left, Outcomes
 from taxeld.arrays import Floats, Poses
-from taxeld.config.tables import AdviceConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
@@ -23,7 +21,8 @@ from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import MOTION_M
 from taxeld.estimator.verdict import UNMODELLED_M
 
-AT_ONCE = 24  # lines whose travel is found in one piece of work
+AT_ONCE = 24  # lines whose travel is found at once: they stay in the cache
+MOST = 3  # approaches of an advice
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,61 +67,39 @@ class Advisor:
     """Advises by an estimator's belief."""
 
     def __init__(
-        self, estimator: Estimator, config: AdviceConfig, effort: Effort | None = None
+        self, estimator: Estimator, reach: Reach | None = None, effort: Effort | None = None
     ) -> None:
         """Raises SetupError where the estimator has the paper's rule, which remembers nothing."""
         if not isinstance(estimator.rule, Mixture):
-            raise SetupError("advice.enabled: takes filter.injection = 'mixture'")
-        self._estimator, self._config = estimator, config
+            raise SetupError("advice: needs the memory of filter.injection = 'mixture'")
+        self._estimator, self._reach = estimator, reach or Reach()
         self._effort = effort or Effort()
-        self.advice: Advice | None = None  # of the last completed work
-        self.begin()
 
-    def begin(self) -> None:
-        """Begin anew, as the belief has changed; advice that was given stays until there is new."""
-        self._work: Generator[None, None, Advice] | None = self._pieces()
-
-    def step(self) -> bool:
-        """Do a piece of work; → whether there is new advice."""
-        if self._work is None:
-            return False
-        try:
-            next(self._work)
-        except StopIteration as done:
-            self.advice, self._work = done.value, None
-            return True
-        return False
-
-    def _pieces(self) -> Generator[None, None, Advice]:
-        estimator = self._estimator
+    def advise(self) -> Advice:
+        """Advice on the present belief."""
+        estimator, effort = self._estimator, self._effort
         contacts = estimator.estimate.contacts
         rng = np.random.default_rng((estimator.config.seed, contacts))
-        effort = self._effort
-        found = yield from hypotheses.drawn(estimator, effort.own, effort.fresh, rng)
+        found = hypotheses.drawn(estimator, effort.own, effort.fresh, rng)
         outcomes = Outcomes(estimator, found.weighed)
-        yield
         judged: list[tuple[float, Approach]] = []
         for link in range(len(estimator.model.links)):
-            judged += yield from self._judged(found, outcomes, link)
+            judged += self._judged(found, outcomes, link)
         judged.sort(key=lambda each: each[0])
-        best = tuple(approach for _, approach in judged)
+        best = tuple(approach for _, approach in judged[:MOST])
         is_sure = estimator.estimate.status == Status.CONVERGED
         # to better an estimate by less than is unmodelled is no reason for a touch
         is_enough = is_sure and (not judged or outcomes.now_m - judged[0][0] < UNMODELLED_M)
         return Advice(contacts, best, is_enough)
 
-    def _judged(
-        self, of: Guesses, outcomes: Outcomes, link: int
-    ) -> Generator[None, None, list[tuple[float, Approach]]]:
+    def _judged(self, of: Guesses, outcomes: Outcomes, link: int) -> list[tuple[float, Approach]]:
         """The expected errors that are left, and the approaches, of a link's best lines."""
         fan, free, ways, left = self.fan(of, link), list[Lines](), list[Floats](), list[Floats]()
         for at in range(0, len(fan), AT_ONCE):
             some, way = self.free(fan.only(slice(at, at + AT_ONCE)), of)
-            yield
             free.append(some)
             ways.append(way)
             left.append(outcomes.by_travel(way[:, of.modes :]))
-            yield
         cost = np.concatenate([np.empty(0), *left])
         where = [(block, row) for block, some in enumerate(free) for row in range(len(some))]
         judged = []
@@ -131,12 +108,11 @@ class Advisor:
             line, way = free[block].only(slice(row, row + 1)), ways[block][row]
             told = outcomes.by_reading(line, way[of.modes :], self._depth_m(link))
             judged.append((told.cost_m, self._approach(line, way, of, told, float(cost.mean()))))
-            yield
         return judged
 
     def fan(self, of: Guesses, link: int) -> Lines:
         """All lines of a link, about the middle of the hypotheses."""
-        estimator, config = self._estimator, self._config
+        estimator, reach = self._estimator, self._reach
         centre = np.empty((len(of.weight), 2))
         size = np.empty(len(of.weight))
         for k in of.objects:
@@ -147,7 +123,7 @@ class Advisor:
         middle = of.weight @ centre
         around_m = float((np.linalg.norm(centre - middle, axis=1) + size).max())
         return lines.fan(
-            config, self._box, estimator.model, link, middle, around_m + config.clearance_m
+            reach, self._box, estimator.model, link, middle, around_m + reach.clearance_m
         )
 
     def free(self, some: Lines, of: Guesses) -> tuple[Lines, Floats]:
@@ -159,21 +135,21 @@ class Advisor:
             own, model = of.object == k, self._estimator.known[k].model
             gap[:, own] = lines.gap_before(some, model, of.pose[own])
             way[:, own] = lines.travel(some, model, of.pose[own])
-        is_clear = (gap >= self._config.clearance_m).all(axis=1)
+        is_clear = (gap >= self._reach.clearance_m).all(axis=1)
         kept = np.flatnonzero(is_clear & (np.isfinite(way) @ of.weight > 0.0))
         return some.only(kept), way[kept]
 
     @property
     def _box(self) -> Floats:
         """(2, 2) lower and upper corner of where sensors may be."""
-        config, reach = self._estimator.config, self._config.reach_m
-        if reach:
-            return np.array(reach).reshape(2, 2).T
+        config, box = self._estimator.config, self._reach.box_m
+        if box:
+            return np.array(box).reshape(2, 2).T
         corner = np.array(config.centre_m)
         return np.stack([corner - config.half_width_m, corner + config.half_width_m])
 
     def _depth_m(self, link: int) -> float:
-        return min(self._config.depth_m, self._estimator.model.links[link].depth_max_m)
+        return min(self._reach.depth_m, self._estimator.model.links[link].depth_max_m)
 
     def _approach(
         self, line: Lines, way: Floats, of: Guesses, told: Left, mean_m: float

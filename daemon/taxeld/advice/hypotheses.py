@@ -5,7 +5,6 @@ there are fresh samples of remembered contacts, brought to explain all that is r
 strictly.
 """
 
-from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,10 +42,8 @@ class Guesses:
         return sorted(set(self.object.tolist()))
 
 
-def drawn(
-    estimator: Estimator, own: int, fresh: int, rng: np.random.Generator
-) -> Generator[None, None, Guesses]:
-    """Guesses of the present belief, in steps: `own` of its particles, and `fresh` ones."""
+def drawn(estimator: Estimator, own: int, fresh: int, rng: np.random.Generator) -> Guesses:
+    """Guesses of the present belief: `own` of its particles, and `fresh` ones."""
     bank = estimator.bank
     likely = bank.likely
     share = bank.objects[likely] / bank.objects[likely].sum()
@@ -61,7 +58,7 @@ def drawn(
 
     for k, of in zip(likely, share.tolist(), strict=True):
         add(k, bank.rules[k].belief, round(own * of), (1.0 - doubt) * of)
-        other = yield from _fresh(estimator, k, rng)
+        other = _fresh(estimator, k, rng)
         if other is not None:
             # as likely as the belief is wrong, whichever object it is of
             add(k, other, fresh // len(likely), doubt / len(likely))
@@ -75,26 +72,14 @@ def drawn(
     )
 
 
-def at_once(work: Generator[None, None, Guesses]) -> Guesses:
-    """The guesses of all steps together."""
-    while True:
-        try:
-            next(work)
-        except StopIteration as done:
-            return done.value  # type: ignore[no-any-return]
-
-
-def _fresh(
-    estimator: Estimator, k: int, rng: np.random.Generator
-) -> Generator[None, None, Belief | None]:
-    """Samples of object k, in steps; None where it was not touched."""
+def _fresh(estimator: Estimator, k: int, rng: np.random.Generator) -> Belief | None:
+    """Samples of object k; None where it was not touched."""
     rule, made = estimator.bank.mixtures[k], list[Belief]()
     memory = rule.memory
     for scan in rng.permutation(np.flatnonzero(memory.contact))[:GROUPS].tolist():
         samples = estimator.known[k].drawn(memory.scan(scan), GROUP, rng)
         if len(samples):
             made.append(rule.opinion(samples, scan, rng, TEMPER))
-        yield
     if not made:
         return None
     belief = pf.equal(

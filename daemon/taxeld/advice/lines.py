@@ -5,15 +5,35 @@ from dataclasses import dataclass
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index, Poses
-from taxeld.config.tables import AdviceConfig
+from taxeld.errors import SetupError
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 
-FAN = 24  # directions, where none are named
-BESIDE = 9  # lines of each direction, where no offsets are named
+FAN = 24  # directions
+BESIDE = 9  # lines of each direction
 PAST_M = 0.01  # m behind the last hypothesis at which an approach ends
 FELT_M = 1e-3  # m: a press that is felt, wherever the nearest taxel is
 TOGETHER = 64  # lines and poses whose way to all points of an edge is found at once
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """What the robot can do."""
+
+    # [least x, most x, least y, most y] of the sensor in the world; empty: the filter's square
+    box_m: tuple[float, ...] = ()
+    directions_deg: tuple[float, ...] = ()  # of motion in the world; empty: FAN all around
+    yaw_deg: tuple[float, ...] = ()  # [least, most] yaw of the sensor; empty: any
+    clearance_m: float = 0.01  # approaches begin so far from wherever the object may be
+    depth_m: float = 0.003  # how far to go on once something is touched
+
+    def __post_init__(self) -> None:
+        """Raises SetupError where a range is none."""
+        box, yaw = self.box_m, self.yaw_deg
+        if box and not (len(box) == 4 and box[0] < box[1] and box[2] < box[3]):
+            raise SetupError(f"reach: {box} is not least x, most x, least y, most y")
+        if yaw and not (len(yaw) == 2 and yaw[0] <= yaw[1] <= yaw[0] + 360.0):
+            raise SetupError(f"yaw: {yaw} is not least, most, at most 360 apart")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +60,7 @@ class Lines:
 
 
 def fan(
-    config: AdviceConfig,
+    reach: Reach,
     box: Floats,
     model: ObservationModel,
     link: int,
@@ -50,15 +70,15 @@ def fan(
     """Lines from all sides through and beside a point `middle` (2,), each from one side to the
     other of the circle of radius `around_m`, as far as the link reaches: `box` (2, 2) has the lower
     and the upper corner."""
-    direction = np.radians(config.directions_deg or np.arange(FAN) * (360.0 / FAN))
-    offset = np.array(config.offsets_m or np.linspace(-around_m, around_m, BESIDE + 2)[1:-1])
+    direction = np.radians(reach.directions_deg or np.arange(FAN) * (360.0 / FAN))
+    offset = np.linspace(-around_m, around_m, BESIDE + 2)[1:-1]
     direction, offset = (each.ravel() for each in np.meshgrid(direction, offset, indexing="ij"))
     ahead = np.stack([np.cos(direction), np.sin(direction)], axis=1)
     aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     start = middle + offset[:, None] * aside - around_m * ahead
     first, last = _within(start, ahead, box)
     last = np.minimum(last, 2.0 * around_m)
-    yaw = _turned(config, direction - _front(model.links[link]))
+    yaw = _turned(reach, direction - _front(model.links[link]))
     made = Lines(
         link, np.column_stack([start + first[:, None] * ahead, yaw]), direction, last - first
     )
@@ -79,11 +99,11 @@ def _front(model: ObservationModel) -> float:
     return float(np.arctan2(y, x)) if np.hypot(x, y) > 0.1 * model.layout.radius_m else 0.0
 
 
-def _turned(config: AdviceConfig, yaw: Floats) -> Floats:
+def _turned(reach: Reach, yaw: Floats) -> Floats:
     """The yaws (C,) within the range that the link has, or its nearest end."""
-    if not config.yaw_deg:
+    if not reach.yaw_deg:
         return se2.wrap(yaw)
-    low, high = np.radians(config.yaw_deg)
+    low, high = np.radians(reach.yaw_deg)
     off = se2.wrap(yaw - 0.5 * (low + high))
     return np.asarray(0.5 * (low + high) + np.clip(off, 0.5 * (low - high), 0.5 * (high - low)))
 

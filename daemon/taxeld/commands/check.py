@@ -33,9 +33,6 @@ MODULES_TO_COME = (
 
 ALONE = "scene.bundle: is empty: the skin is served alone, and nothing is estimated"
 
-STILL = (
-    "advice.enabled: without sensor_pose.endpoint the sensor stands still, and follows no advice"
-)
 POSES_USUAL = "tcp://127.0.0.1:9874"  # address in the documents and examples
 HEAR_POSES_S = 0.3
 POSES_UNUSED = (
@@ -92,7 +89,6 @@ def notes(config: Config) -> list[str]:
         return found
     found += [line] if (line := _down(source)) else []
     if not config.sensor_pose.endpoint:
-        found += [STILL] * config.advice.enabled
         heard = client.hears(POSES_USUAL, messages.SENSOR_POSE, HEAR_POSES_S)
         found += [POSES_UNUSED] * heard
     if source.dialect != "icub" or source.kind == "array":

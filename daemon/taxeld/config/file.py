@@ -68,7 +68,6 @@ def parse(text: str, name: str = "configuration") -> Config:
     _check_source(config.source, faults)
     _check_scene(config, faults)
     _check_endpoints(config, faults)
-    _check_advice(config, faults)
     if config.source.dialect == "icub":
         _check_icub(config, faults)
     if faults:
@@ -123,9 +122,7 @@ def _check_scene(config: Config, faults: list[str]) -> None:
 def _of_objects(config: Config) -> list[str]:
     """Keys that are set and mean nothing without an object."""
     found = list[str]()
-    tables: dict[str, Any] = {
-        name: getattr(config, name) for name in ("filter", "advice", "budget")
-    }
+    tables: dict[str, Any] = {name: getattr(config, name) for name in ("filter", "budget")}
     for name, table in tables.items():
         usual = type(table)()
         keys = (each.name for each in fields(table))
@@ -147,13 +144,6 @@ def _check_endpoints(config: Config, faults: list[str]) -> None:
     ):
         found = (endpoints.fault(each, bool(config.curve.directory)) for each in named if each)
         faults += [f"{key}: {fault}" for fault in found if fault]
-
-
-def _check_advice(config: Config, faults: list[str]) -> None:
-    if not config.advice.enabled:
-        return
-    if config.filter.injection != "mixture":
-        faults.append("advice.enabled: needs the memory of filter.injection 'mixture'")
 
 
 def _for_this_user(config: Config) -> Config:

@@ -5,6 +5,7 @@ stands here is refused with its line. The table is emptied at the next minor ver
 """
 
 GONE: dict[str, str] = {
+    "advice": "taxeld advise CONFIG asks the daemon what it has felt, and advises; see its options",
     "taxeld-hil calibration": "taxeld calibrate SESSION --check judges a skin's own touches",
     "scene.max_objects": "one object is estimated; a second one shows as `other` or `moved`",
     "--histogram": "lat_us of 'taxeld status' and /taxeld/health has median, 99 % and the longest",

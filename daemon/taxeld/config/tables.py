@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from taxeld.config.toml_tables import Bound, Given, between, key, one_of, unwritten
+from taxeld.config.toml_tables import Given, between, key, one_of, unwritten
 from taxeld_protocol import icub
 from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
@@ -225,47 +225,6 @@ class FilterConfig:
     risk: float = key(1e-3, between(1e-6, 0.5), "of being farther from it than radius_m, at most")
 
 
-def _few(most: int) -> Bound:
-    return lambda values: f"has {len(values)}; {most} at most" if len(values) > most else None
-
-
-def _reach(reach: tuple[float, ...]) -> str | None:
-    if not reach:
-        return None
-    if len(reach) != 4 or not (reach[0] < reach[1] and reach[2] < reach[3]):
-        return f"must be [] or [least x, most x, least y, most y], not {list(reach)}"
-    return None
-
-
-def _yaws(yaws: tuple[float, ...]) -> str | None:
-    if yaws and not (len(yaws) == 2 and yaws[0] <= yaws[1] <= yaws[0] + 360.0):
-        return f"must be [] or [least, most], at most 360 apart, not {list(yaws)}"
-    return None
-
-
-@dataclass(frozen=True, slots=True)
-class AdviceConfig:
-    """`[advice]`: where to touch next, and what the robot can do."""
-
-    enabled: bool = key(False, doc="whether it is advised where to touch next")
-    directions_deg: tuple[float, ...] = key(
-        (),
-        _few(72),
-        "directions of motion of straight approaches, world frame; empty: 24 all around",
-    )
-    offsets_m: tuple[float, ...] = key(
-        (), _few(24), "how far they pass beside the belief's middle; empty: 9 from side to side"
-    )
-    reach_m: tuple[float, ...] = key(
-        (), _reach, "[least x, most x, least y, most y] of the sensor; empty: the filter's square"
-    )
-    yaw_deg: tuple[float, ...] = key((), _yaws, "[least, most] yaw of the sensor; empty: any")
-    clearance_m: float = key(
-        0.01, between(0, 0.5), "approaches begin so far from wherever the object may be"
-    )
-    depth_m: float = key(0.003, between(1e-4, 0.05), "how far to go on once something is touched")
-
-
 @dataclass(frozen=True, slots=True)
 class PublishConfig:
     rate_hz: float = key(
@@ -315,7 +274,6 @@ class Config:
     loop: LoopConfig = field(default_factory=LoopConfig)
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
-    advice: AdviceConfig = field(default_factory=AdviceConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     relay: RelayConfig = field(default_factory=RelayConfig)

@@ -1,7 +1,7 @@
 """Requests and their answers: msgpack {"cmd": …} → {"ok": bool, …}.
 
-`status` and `info` are answered from the last messages; `tare`, `reset` and `prior` are passed on
-to the loop, for those who may.
+`status`, `info` and `memory` are answered by what the loop has handed over; `tare`, `reset` and
+`prior` are passed on to it, for those who may.
 """
 
 import contextlib

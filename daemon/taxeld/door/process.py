@@ -58,6 +58,7 @@ class Door:
         self._state: dict[str, bytes] = {}
         self._estimate_s = time.monotonic()
         self._wanted = -1
+        self._memory = b""
         self._is_at_work = False  # whether the loop has sent an estimate
         self._next_look_s = self._next_report_s = 0.0
         self._streams: list[Streams] = []
@@ -77,7 +78,11 @@ class Door:
             self._open(context, settings, keys, members)
             self._opened = opened.pop_all()
         sandbox.start_no_more()
-        self._answers = {"status": self._on_status, "info": self._on_info}
+        self._answers = {
+            "status": self._on_status,
+            "info": self._on_info,
+            "memory": self._on_memory,
+        }
         self._make_poller()
 
     def run(self) -> None:
@@ -154,6 +159,8 @@ class Door:
                 self._forward(now_s, TOPICS[number], body[pair.HEAD.size :], t)
             elif kind == Kind.STATE:
                 self._state = {name: msgpack.packb(v) for name, v in msgpack.unpackb(body).items()}
+            elif kind == Kind.MEMORY:
+                self._memory = bytes(body)
             elif kind == Kind.ANSWER:
                 (number,) = pair.REQUEST.unpack_from(body)
                 for served in self._controls:
@@ -204,6 +211,11 @@ class Door:
             return packed_error("the loop is silent; the log of the daemon may say why")
         latest = {"estimate": self._latest[ESTIMATE], "health": self._latest.get(HEALTH, NOTHING)}
         return packed_ok(**latest, **self._state)
+
+    def _on_memory(self) -> bytes:
+        if not self._memory:
+            return packed_error("nothing was felt yet: touch the object first")
+        return packed_ok(memory=msgpack.packb(self._memory))
 
     def _on_info(self) -> bytes:
         return packed_ok(info=self._latest[INFO])

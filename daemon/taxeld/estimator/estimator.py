@@ -5,8 +5,9 @@ belief learn from them by the configured rule (`rule`), which also says how sure
 docs/estimator.md is the model behind these.
 """
 
+import hashlib
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator.bank import Bank, Known
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status
-from taxeld.estimator.history import History, Used
+from taxeld.estimator.history import VERSION, Arrays, History, Used, scan_arrays
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import ContactCount, News
@@ -86,6 +87,27 @@ class Estimator:
         self.estimate = self._estimate(0.0)
 
     @property
+    def memory(self) -> Arrays:
+        """All that another estimator needs to learn the same: the scans, whose they are, and counts
+        that differ once there is more."""
+        return scan_arrays(self.history.scans) | {
+            "digest": np.array(self.digest),
+            "changes": np.array([self.history.changes, self.counters.updates]),
+        }
+
+    @cached_property
+    def digest(self) -> str:
+        """16 hex digits of all that scans and their use depend on: objects, layouts, and keys."""
+        made = hashlib.sha256(repr((VERSION, self.config, self.robot_m)).encode())
+        for known in self.known:
+            for each in known.model.links:
+                made.update(each.layout.digest.encode() + each.layout.uid.astype("<i8").tobytes())
+                made.update(repr((each.depth_max_m, each.scene.symmetry)).encode())
+                made.update(np.ascontiguousarray(each.scene.slices).tobytes())
+                made.update(np.ascontiguousarray(each.scene.origin).tobytes())
+        return made.hexdigest()[:16]
+
+    @property
     def rule(self) -> Rule:
         """The belief about the likeliest object."""
         return self.bank.rule
@@ -133,9 +155,8 @@ class Estimator:
         self._taught[link] = number
         return self.bank.expected(before, link)
 
-    def restore(self, scans: Sequence[Used]) -> None:
-        """Learn again from the scans that an earlier estimator has learned from; the object may
-        have been moved meanwhile."""
+    def relearn(self, scans: Sequence[Used]) -> None:
+        """Learn the scans that another estimator has learned from, in their order."""
         for observation, number in scans:
             self.history.add(observation, number)
             self.bank.learn(observation, number)
@@ -146,7 +167,12 @@ class Estimator:
         last = max((number for _, number in scans), default=0)
         self._tally.contacts = last
         self._taught = [last] * len(self._taught)  # the skin has its lessons of these
-        self.bank.restarted(last)
+        self.estimate = self._estimate(0.0)
+
+    def restore(self, scans: Sequence[Used]) -> None:
+        """Learn the scans of an earlier run; the object may have been moved meanwhile."""
+        self.relearn(scans)
+        self.bank.restarted(self._tally.contacts)
         self.estimate = self._estimate(0.0)
 
     def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> None:

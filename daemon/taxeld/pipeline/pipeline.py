@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.advice.advice import Advice
 from taxeld.arrays import Poses
 from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
@@ -137,11 +136,6 @@ class Pipeline:
         return self.believing.estimator
 
     @property
-    def advice(self) -> Advice | None:
-        """Where to touch next; None while the belief changes, and where that is not enabled."""
-        return None if self.believing is None else self.believing.advice
-
-    @property
     def skin(self) -> Skin:
         """The first link's skin."""
         return self.stages[0].skin
@@ -169,15 +163,17 @@ class Pipeline:
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do, and no scan waits."""
-        return self.believing is not None and self.believing.has_thought and not self.has_waiting
+        if self.believing is None or self.has_waiting:
+            return False
+        return self.believing.estimator.has_thought
 
     def think(self) -> Outcome | None:
-        """Think as `Believing.think` does; → the estimate where that has changed, and the time of
+        """Think as `Estimator.think` does; → the estimate where that has changed, and the time of
         this work."""
         if self.believing is None:
             return None
         began = self._clocks()
-        if not self.believing.think():
+        if not self.believing.estimator.think():
             return None
         self.estimate = self.freshness.judged(replace(self._believed, t=self.estimate.t))
         return Outcome(self.estimate, None, None, 0, *self._spent_since(*began))

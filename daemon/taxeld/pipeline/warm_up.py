@@ -1,11 +1,10 @@
 """Touches of the object before the first real one, to load code and memory."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from taxeld.config.tables import AdviceConfig, Config
+from taxeld.config.tables import Config
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
@@ -20,7 +19,7 @@ def warm_up(config: Config, objects: Sequence[ObservationModel], samples: Sample
     rng, model = np.random.default_rng(0), objects[0]
     radius_m, depth_m = model.layout.radius_m, model.depth_max_m
     poses = contacts.synthesise(model.scene, radius_m, depth_m, 8 * TOUCHES, rng).pose[:TOUCHES]
-    subject = Believing(replace(config, advice=AdviceConfig()), objects, samples)
+    subject = Believing(config, objects, samples)
     live = np.ones(len(model.layout), dtype=np.bool_)
     for k, pose in enumerate(poses):
         pressed = model.activation(pose[None])[0]

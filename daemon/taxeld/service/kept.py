@@ -3,34 +3,26 @@
 Digests say whose both are. What is old or of another configuration is not used.
 """
 
-import hashlib
 import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from taxeld.config.tables import Config
-from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.history import Used
-from taxeld.model.noise import Noise
-from taxeld.model.observation import Observation
+from taxeld.estimator.history import VERSION, scan_arrays, scans_of
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.service.kept_file import Arrays, KeptFile
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
 
 NAME = "kept.npz"
-VERSION = 1
 EVERY_S, AT_LEAST_S = 60.0, 240.0  # between two writings out of contact; where nothing is new
 BASELINE_S = 43_200.0  # an idle baseline that was stored longer ago is not used
 FUTURE_S = 3600.0  # a time farther ahead was stored by a wrong clock, or is read by one
-OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd"
-OF_TAXELS = "z", "live", "floor", "residue", *OF_NOISE
 
 
 def directory(config: Config) -> Path | None:
@@ -39,52 +31,6 @@ def directory(config: Config) -> Path | None:
         return None
     name = config.skin.state_dir or os.environ.get("STATE_DIRECTORY", "").split(":")[0]
     return Path(name) if name else None
-
-
-def digest(estimator: Estimator) -> str:
-    """16 hex digits of all that scans and their use depend on: objects, layouts, configuration."""
-    made = hashlib.sha256(repr((VERSION, estimator.config, estimator.robot_m)).encode())
-    for known in estimator.known:
-        for each in known.model.links:
-            made.update(each.layout.digest.encode() + each.layout.uid.astype("<i8").tobytes())
-            made.update(repr((each.depth_max_m, each.scene.symmetry)).encode())
-            made.update(np.ascontiguousarray(each.scene.slices).tobytes())
-            made.update(np.ascontiguousarray(each.scene.origin).tobytes())
-    return made.hexdigest()[:16]
-
-
-def scan_arrays(scans: Sequence[Used]) -> Arrays:
-    """Scans as arrays (K, …) of single precision, filled up to the most taxels of a link; the noise
-    is nan where it is not known."""
-    most = max((len(scan.z) for scan, _ in scans), default=0)
-    # an array each: a large one would hold the loop up while numpy copies it
-    found: Arrays = {name: np.zeros((len(scans), most), np.float32) for name in OF_TAXELS}
-    found["number"] = np.array([number for _, number in scans], np.int64)
-    found |= {name: np.zeros(len(scans), np.int64) for name in ("size", "link")}
-    found |= {"sensor": np.zeros((len(scans), 3)), "outliers": np.zeros(len(scans))}
-    for k, (scan, _) in enumerate(scans):
-        noise, size = scan.noise or Noise(math.nan, outliers=math.nan), len(scan.z)
-        found["size"][k], found["link"][k], found["sensor"][k] = size, scan.link, scan.sensor
-        found["outliers"][k] = noise.outliers
-        for name in OF_TAXELS:
-            found[name][k, :size] = getattr(noise if name in OF_NOISE else scan, name)
-    return found
-
-
-def scans_of(arrays: Arrays) -> list[Used]:
-    """The scans of `scan_arrays`."""
-    scans = []
-    for k, (size, number) in enumerate(zip(arrays["size"], arrays["number"], strict=True)):
-        own: dict[str, Any] = {
-            name: arrays[name][k, :size].astype(np.float64) for name in OF_TAXELS
-        }
-        noise = {name: own.pop(name) for name in OF_NOISE}
-        outliers = arrays["outliers"][k].item()
-        known = None if math.isnan(outliers) else Noise(outliers=outliers, **noise)
-        own["live"] = own["live"] > 0.0
-        link, sensor = arrays["link"][k].item(), arrays["sensor"][k]
-        scans.append((Observation(sensor, **own, noise=known, link=link), number.item()))
-    return scans
 
 
 class Store:
@@ -101,7 +47,7 @@ class Store:
             self._found = {}
         self._estimator = pipeline.estimator if pipeline.believing else None
         self._keep_s = config.filter.keep_s if config.filter.motion == "none" else 0.0
-        self._digest = digest(self._estimator) if self._estimator and self._keep_s else ""
+        self._digest = self._estimator.digest if self._estimator and self._keep_s else ""
         self._written_s, self._changes, self._captures = -math.inf, 0, 0
         self._is_forgotten = False
         for k, stage in enumerate(pipeline.stages):

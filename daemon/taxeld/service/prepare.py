@@ -58,7 +58,7 @@ def prepared(config: Config, recorder: Recorder | None) -> Prepared:
 
 
 def digest(config: Config) -> str:
-    """Of all keys, whoever sets them; of links and of advice only where they are used."""
-    used = {"links": config.links, "advice": config.advice.enabled, "is_sized": False}
+    """Of all keys, whoever sets them; of links only where they are used."""
+    used = {"links": config.links, "is_sized": False}
     given = {name: value for name, value in asdict(config).items() if used.get(name, True)}
     return hashlib.sha256(repr(given).encode()).hexdigest()[:16]

@@ -1,10 +1,12 @@
 """What a run publishes: each result of its pipeline, and by the clock what is due without one."""
 
+import io
 import time
 from dataclasses import dataclass
 from typing import Any
 
-from taxeld.advice.advice import Advice
+import numpy as np
+
 from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Estimate
 from taxeld.model.activation import Activation
@@ -20,8 +22,8 @@ from taxeld.stream import messages
 from taxeld.stream.link import Link
 
 PARTICLES_HZ = 20.0
-ADVICE_S = 0.2  # time between two messages of the same advice
 HEALTH_S = 1.0
+MEMORY_S = 1.0  # time between two handings-over of what was felt, at least
 
 
 @dataclass(slots=True)
@@ -54,9 +56,8 @@ class Publisher:
         self._notices = Notices(self._names, proposal, [one.path for one in made.bundles])
         self._publish_us = 0.0  # time of sending the last estimate [µs]
         self._next_particles_s = self._next_estimate_s = self._next_health_s = 0.0
-        self._next_advice_s = 0.0
-        self._advised: Advice | None = None  # the advice published last
         self._told: Estimate | None = None  # the estimate published last
+        self._remembered, self._next_memory_s = (0, 0), 0.0
         self._why = Why.STARTING  # why that one is not valid
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
@@ -98,11 +99,11 @@ class Publisher:
         self._send_estimate(_stages_us(outcome), now_s)
 
     def send_due(self, now_s: float) -> bool:
-        """Publish without a scan: an estimate whose status has changed or whose time has come, and
-        advice; → whether health is due as well."""
+        """Publish without a scan: an estimate whose status has changed or whose time has come; →
+        whether health is due as well."""
         if self._is_news(self._estimate(now_s)) or now_s >= self._next_estimate_s:
             self._send_estimate(dict.fromkeys(messages.STAGES, 0.0), now_s)
-        self._send_advice(now_s)
+        self._remember(now_s)
         return now_s >= self._next_health_s
 
     def health(self, health: dict[str, Any], now_s: float) -> None:
@@ -117,6 +118,19 @@ class Publisher:
         whys = self._pipeline.freshness.of_links(now_s)
         self._notices.links(dict(zip(self._config.names, whys, strict=True)))
         self._link.tell(self._state())
+
+    def _remember(self, now_s: float) -> None:
+        """Hand over what was felt, once it has changed and nothing is touched."""
+        if not self._has_object or self._pipeline.is_touched or now_s < self._next_memory_s:
+            return
+        estimator = self._pipeline.estimator
+        key = estimator.history.changes, estimator.counters.updates
+        if key == self._remembered:
+            return
+        self._remembered, self._next_memory_s = key, now_s + MEMORY_S
+        packed = io.BytesIO()
+        np.savez(packed, allow_pickle=False, **estimator.memory)
+        self._link.remember(packed.getvalue())
 
     def status_line(self, now_s: float) -> str:
         """For the service manager."""
@@ -196,15 +210,6 @@ class Publisher:
             belief = self._pipeline.estimator.rule.belief
             cloud = messages.particles(t, self.seq, belief.pose, belief.weight)
             link.send(messages.PARTICLES, cloud, t)
-
-    def _send_advice(self, now_s: float) -> None:
-        """Publish new advice, and from time to time again as long as it holds."""
-        advice, t = self._pipeline.advice, self._pipeline.estimate.t
-        is_due = advice is not self._advised or now_s >= self._next_advice_s
-        if advice is not None and is_due and self._link.wants(messages.ADVICE):
-            self._advised, self._next_advice_s = advice, now_s + ADVICE_S
-            told = messages.advice(advice, t, self.seq, self._config.names)
-            self._link.send(messages.ADVICE, told, t)
 
 
 def _stages_us(outcome: Outcome) -> dict[str, float]:

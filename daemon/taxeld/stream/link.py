@@ -132,6 +132,11 @@ class Link:
         if self.is_ready:
             self._give(Kind.STATE, self._pack(state))
 
+    def remember(self, scans: bytes) -> None:
+        """The scans that the belief has learned from, for clients that learn them as well."""
+        if self.is_ready:
+            self._give(Kind.MEMORY, scans)
+
     def ask_poses(self, *, also_next: bool) -> None:
         """Have the door pass on the robot's poses that have come, and, if `also_next`, the next
         one when it comes. Without being asked it passes them on every tenth of a second."""

@@ -10,10 +10,7 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from taxeld import __version__
-from taxeld.advice.advice import Advice, Approach
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.layout.layout import Layout
@@ -24,7 +21,6 @@ from taxeld.pipeline.freshness import CURES, Why
 from taxeld.proposals.samples import Degraded
 from taxeld.skin.patches import Patches, in_world
 from taxeld.stream.topics import (
-    ADVICE,
     CONTACTS,
     COUNTS,
     ESTIMATE,
@@ -37,7 +33,6 @@ from taxeld.stream.topics import (
 )
 
 __all__ = [  # all names beside this module's own
-    "ADVICE",
     "CONTACTS",
     "COUNTS",
     "ESTIMATE",
@@ -53,8 +48,6 @@ OTHER = "other"  # in `objects`: none of the known ones
 ALONE = 2  # entries of `objects` with a single known one
 VERSION = 3  # version of the stream: `v` in every message
 
-WAY = ("before", "at", "until")  # poses of an approach
-FIGURES = ("direction", "depth_m", "p_sure", "gain", "p_touch")
 STAGES = ("source", "skin", "propose", "filter", "publish", "total")
 
 
@@ -111,37 +104,6 @@ def estimate(
 def _named(objects: Sequence[float], names: Sequence[str]) -> dict[str, float]:
     """Probabilities of objects by their names, and that of none of them."""
     return {**dict(zip(names, objects, strict=True)), OTHER: max(1.0 - sum(objects), 0.0)}
-
-
-def advice(a: Advice, t: float, seq: int, links: Sequence[str]) -> dict[str, Any]:
-    """`/taxeld/advice` on the belief after the scan of Unix time t; `links`: their names."""
-    return {
-        "v": VERSION,
-        "seq": seq,
-        "t": t,
-        "contacts": a.contacts,
-        "enough": a.is_enough,
-        "approaches": [
-            {
-                "link": one.link,
-                "name": links[one.link],
-                **{name: _pose(getattr(one, name)) for name in WAY},
-                **{name: getattr(one, name) for name in FIGURES},
-            }
-            for one in a.approaches
-        ],
-    }
-
-
-def advice_of(message: Mapping[str, Any]) -> Advice:
-    """The advice in a map of `/taxeld/advice`."""
-    made = []
-    for one in message["approaches"]:
-        way: dict[str, Any] = {
-            name: np.array([one[name][key] for key in ("x", "y", "theta")]) for name in WAY
-        }
-        made.append(Approach(one["link"], **way, **{name: one[name] for name in FIGURES}))
-    return Advice(message["contacts"], tuple(made), message["enough"])
 
 
 def particles(t: float, seq: int, pose: Poses, weight: Poses) -> dict[str, Any]:

@@ -4,6 +4,7 @@ A packet is one byte for its kind, and a body. To the door:
 
     MESSAGE  topic's number (1 byte), Unix time of the measurement (double), msgpack map
     STATE    msgpack map: the part of the answer to `status` that no message has
+    MEMORY   the scans that the belief has learned from, as a file of numpy's
     ANSWER   number of the request (4 bytes), a text; empty: it was done
     ASK      poses are wanted now: those that have come (0), and the next one as well (1)
 
@@ -49,6 +50,7 @@ class Kind(IntEnum):
     STATE = 2
     ANSWER = 3
     ASK = 4
+    MEMORY = 5
     READY = 16
     FAULT = 17
     WANTED = 18

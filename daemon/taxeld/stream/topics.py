@@ -7,6 +7,5 @@ CONTACTS = b"/taxeld/contacts"
 COUNTS = b"/taxeld/counts"
 HEALTH = b"/taxeld/health"
 INFO = b"/taxeld/info"
-ADVICE = b"/taxeld/advice"
-TOPICS = (ESTIMATE, PARTICLES, TAXELS, CONTACTS, COUNTS, HEALTH, INFO, ADVICE)
+TOPICS = (ESTIMATE, PARTICLES, TAXELS, CONTACTS, COUNTS, HEALTH, INFO)
 SENSOR_POSE = b"/robot/sensor_pose"

@@ -1,4 +1,4 @@
-"""The commands `view`, `watch`, `advise` and `export`."""
+"""The commands `view`, `watch` and `export`."""
 
 import argparse
 import math
@@ -24,11 +24,6 @@ def add(commands: Commands) -> None:
     where.add_argument("--web", action="store_true", help="serve it to a browser of this machine")
 
     add_endpoint(documented(commands, _watch), "where the daemon publishes")
-
-    advise = documented(commands, _advise)
-    add_endpoint(advise, "where the daemon publishes")
-    advise.add_argument("--json", action="store_true", help="the message as JSON, one a line")
-    advise.add_argument("--follow", action="store_true", help="each new advice, until stopped")
 
     export = documented(commands, _export)
     export.add_argument("session", type=Path, metavar="SESSION")
@@ -71,22 +66,6 @@ def _watch(args: argparse.Namespace) -> int:
 
     watch(_endpoint(args.endpoint, args.config), args.keys, stopping())
     return 0
-
-
-def _advise(args: argparse.Namespace) -> int:
-    """Tell where to touch next, as a running daemon advises.
-
-    taxeld advise
-    taxeld advise can0.toml --json --follow
-    taxeld advise --endpoint tcp://127.0.0.1:9872
-    """
-    from taxeld.view.advise import advise
-
-    if args.config and not load(args.config).advice.enabled:
-        raise SetupError("advice.enabled: is false, so this daemon advises nothing; set it to true")
-    where, ends = _endpoint(args.endpoint, args.config), stopping()
-    told = advise(where, args.keys, ends, as_json=args.json, follow=args.follow)
-    return 0 if told else FAILED
 
 
 def _export(args: argparse.Namespace) -> int:

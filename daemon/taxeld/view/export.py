@@ -18,7 +18,6 @@ TYPES = {
     "/taxeld/pose": "geometry_msgs/PoseWithCovarianceStamped",
     "/taxeld/modes": "geometry_msgs/PoseArray",
     "/taxeld/particles": "geometry_msgs/PoseArray",
-    "/taxeld/advice": "geometry_msgs/PoseArray",
     "/taxeld/taxels": "sensor_msgs/PointCloud2",
     "/taxeld/status": "diagnostic_msgs/DiagnosticArray",
     "/taxeld/truth": "geometry_msgs/PoseStamped",
@@ -83,6 +82,3 @@ def _made(stage: Stage, message: Message) -> Iterator[tuple[str, dict[str, Any]]
     elif topic == messages.PARTICLES:
         poses = [dict(zip(("x", "y", "theta"), p, strict=True)) for p in m["xytheta"]]
         yield "/taxeld/particles", ros.pose_array(m["t"], poses)
-    elif topic == messages.ADVICE:
-        best = [one[name] for one in m["approaches"][:1] for name in ("before", "at", "until")]
-        yield "/taxeld/advice", ros.pose_array(m["t"], best)

@@ -5,7 +5,6 @@
 | `world/link`, `world/link/skin` | the link where the robot says it is, its taxels by activation |
 | `world/object`, `world/truth` | the object's slices at the likeliest pose, and at the true one |
 | `world/modes`, `world/particles` | the outline at each mode, an arrow for each particle |
-| `world/advice` | an arrow for each advised approach, to where it should touch |
 | `world/radius` | a ring of `radius_m` about the middle of the object at the likeliest pose |
 | `status/now`, `status/log` | the status with what it rests on, and its changes |
 | `plot/belief`, `plot/spread` | `p` and the hypotheses, standard deviations |
@@ -35,7 +34,6 @@ ARROW_M = 0.02  # length of a particle's arrow
 ABOVE_M = 0.01  # the link is drawn so far beyond the highest and the lowest taxel
 EYE_M = (0.065, -0.2, 0.25)  # position of the eye from the point that it looks at
 FOUND, MODE, PARTICLE, TRUTH = (230, 60, 60), (70, 150, 255), (130, 180, 230), (240, 240, 240)
-ADVISED = (110, 200, 120), (60, 110, 66)  # the best approach, and the others
 LINK, QUIET, DEAD = (90, 90, 90), (120, 120, 120), (200, 30, 30)
 LEAST = 0.25  # beginning on the colour scale: darker colours do not show on black
 SPREADS = {"x [mm]": (255, 120, 90), "y [mm]": (110, 200, 120), "yaw [°]": (240, 200, 80)}
@@ -53,7 +51,7 @@ class Picture:
         self._status: int | None = None
         self._text = ""  # the words on the last estimate
         self._felt: object = None  # the activations that were drawn last
-        self._is_placed = self._is_advised = False
+        self._is_placed = False
         self._shown = 0  # number of the object that is drawn
         self._slices = [slices_of(stage, thing) for thing in stage.things]
         self._outlines = [max((line[:, :2] for line in own), key=len) for own in self._slices]
@@ -69,7 +67,6 @@ class Picture:
             messages.TAXELS: self._taxels,
             messages.ESTIMATE: self._estimate,
             messages.PARTICLES: self._particles,
-            messages.ADVICE: self._advice,
         }.get(topic)
         if takes is not None and m["t"]:  # nothing was measured before the first scan
             self._stream.set_time(TIME, timestamp=m["t"])
@@ -90,7 +87,6 @@ class Picture:
             "world/modes": rr.LineStrips3D.from_fields(radii=LINE_M),
             "world/radius": rr.LineStrips3D.from_fields(colors=FOUND, radii=LINE_M / 2),
             "world/particles": rr.Arrows3D.from_fields(colors=PARTICLE, radii=LINE_M),
-            "world/advice": rr.Arrows3D.from_fields(radii=LINE_M),
             "status/now": rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN),
             "plot/belief": rr.SeriesLines(names=list(BELIEFS), colors=list(BELIEFS.values())),
             "plot/spread": rr.SeriesLines(names=list(SPREADS), colors=list(SPREADS.values())),
@@ -147,8 +143,6 @@ class Picture:
         rings = [_at(middle + e["radius_m"] * CIRCLE, self._middle_m)] if valid else []
         self._stream.log("world/radius", rr.LineStrips3D.from_fields(strips=rings))
         self._say(e, error_mm)
-        if e["contact"] and self._is_advised:
-            self._advice({"approaches": []})
         if valid:
             sd = np.sqrt(np.maximum(np.diag(np.array(e["cov"], dtype=float)), 0.0))
             likely = {"p": e["p"], **e["hypotheses"]}
@@ -178,17 +172,6 @@ class Picture:
         vector = ARROW_M * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
         at, to = _at(origin, self._middle_m), _at(vector, 0.0)
         self._stream.log("world/particles", rr.Arrows3D.from_fields(origins=at, vectors=to))
-
-    def _advice(self, m: dict[str, Any]) -> None:
-        self._is_advised = bool(m["approaches"])
-        way = [[pose_of(one[name])[:2] for name in ("before", "at")] for one in m["approaches"]]
-        begin, end = np.array(way, dtype=float).reshape(-1, 2, 2).swapaxes(0, 1)
-        drawn = rr.Arrows3D.from_fields(
-            origins=_at(begin, self._middle_m),
-            vectors=_at(end - begin, 0.0),
-            colors=[ADVISED[number > 0] for number in range(len(way))],
-        )
-        self._stream.log("world/advice", drawn)
 
     @property
     def _middle(self) -> Floats:
@@ -225,7 +208,7 @@ class Picture:
             rrb.TextDocumentView(origin="/status/now", name="status"),
             rrb.TextLogView(origin="/status/log", name="changes"),
         )
-        colours = "red: likeliest pose and radius, blue: modes and particles, green: advice"
+        colours = "red: likeliest pose and radius, blue: modes and particles"
         colours += ", white: true pose" * has_errors
         scene = rrb.Spatial3DView(origin="/world", name=colours, eye_controls=eye)
         beside = rrb.Vertical(words, *views, row_shares=[2] + [1] * len(views))

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.advice.advice import Advice
 from taxeld.arrays import Floats, Poses
 from taxeld.commands.replay import Replay
 from taxeld.config.tables import Config
@@ -84,7 +83,7 @@ def scenes_of(config: Config) -> list[Scene]:
 
 def recorded(directory: Path, config: Path | None = None) -> tuple[Stage, Iterator[Message]]:
     """Stage and messages of a session; `config` replaces the session's own. Each scan gives taxels,
-    an estimate, particles and new advice, as far as it has them.
+    an estimate and particles, as far as it has them.
 
     Raises:
         SetupError: there is no session, or what its configuration names cannot be used; while the
@@ -117,7 +116,6 @@ def truth_of(path: Path) -> Poses | None:
 
 
 def _messages(replay: Replay) -> Iterator[Message]:
-    told: Advice | None = None
     next_s = -np.inf  # the next cloud of particles is due at this time
     for seq, outcome in enumerate(replay):
         estimate, activation = outcome.estimate, outcome.activation
@@ -132,7 +130,3 @@ def _messages(replay: Replay) -> Iterator[Message]:
         if estimate.contact and not estimate.t < next_s < estimate.t + 1.0:
             next_s = estimate.t + PARTICLES_S
             yield messages.PARTICLES, messages.particles(estimate.t, seq, *replay.belief)
-        before, told = told, replay.pipeline.advice
-        if told is not None and told is not before:
-            names = replay.config.names
-            yield messages.ADVICE, messages.advice(told, estimate.t, seq, names)

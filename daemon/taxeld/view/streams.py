@@ -21,7 +21,6 @@ NEEDED = {  # keys that the pictures and the ROS messages read
     messages.CONTACTS: "t patches",
     messages.PARTICLES: "t xytheta",
     messages.HEALTH: "loop source inputs lat_us dead_taxels",
-    messages.ADVICE: "t contacts enough approaches",
     messages.INFO: "layout outline object",
 }
 

@@ -90,7 +90,7 @@ class Rig:
     def advise(self, advice: Advice, of_t: float, t: float) -> None:
         """Have a robot that waits for it follow an advice on the belief at scenario time `of_t`;
         an advice that is older than its last touch is left."""
-        if self.advised is None or not self._waits or of_t <= IDLE_S + self.path.duration_s:
+        if self.advised is None or not self.wants_advice(of_t):
             return
         scenario, touches = self.scenario, len(self.path.touched)
         is_over = advice.is_enough or not advice.approaches
@@ -98,6 +98,10 @@ class Rig:
         if self._waits:
             self.advised.follow(self.advised.best(advice), t - IDLE_S)
             self.path = self.advised.path.erring(scenario.robot_m, self._seed)
+
+    def wants_advice(self, of_t: float) -> bool:
+        """Whether a robot waits for advice on the belief at scenario time `of_t`."""
+        return self._waits and of_t > IDLE_S + self.path.duration_s
 
     def _check(self, fault: Fault, number: int) -> None:
         """Raises SetupError where a fault names a module or taxel that the skin does not have."""

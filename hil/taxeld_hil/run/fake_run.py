@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from taxeld.commands.advise import Adviser
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate
 from taxeld.skin.calibration import Calibration
@@ -68,6 +69,7 @@ class FakeRun:
         self.judge = self.judging()
         # called with each of the robot's poses, by link
         self._records: list[Callable[[Item], None]] = [lambda _: None for _ in self.rigs]
+        self._adviser = Adviser(self.config, settings.REACH) if scenario.advised else None
         self._seed = seed
         self._began_s = self._next_health_s = 0.0
 
@@ -150,9 +152,8 @@ class FakeRun:
         self.daemon.tick(now)
         e = self.daemon.estimate(now)
         why = self.daemon.pipeline.freshness.why(e, now)
-        advice = self.daemon.pipeline.advice
-        if advice is not None:
-            self.rig.advise(advice, t - (now - e.t), t)
+        if self._adviser and self.rig.wants_advice(of_t := t - (now - e.t)):
+            self.rig.advise(self._adviser.advise(self.daemon.pipeline.estimator.memory), of_t, t)
         told = e.contacts, e.map, e.p, e.radius_m
         links = tuple(self.daemon.pipeline.freshness.of_links(now)) if len(self.rigs) > 1 else ()
         self.judge.on_estimate(

@@ -9,7 +9,6 @@ import msgpack
 import numpy as np
 import zmq
 
-from taxeld.advice.advice import Advice
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld.stream import messages
@@ -37,13 +36,12 @@ class Listener:
         self.judge = judge
         self.table = table
         self.begun = False  # whether an estimate of a scan has come
-        self.on_advice: Callable[[Advice, float], object] = lambda *_: None
         self.final: Health | None = None  # the first health after all was sent
         self._finished_wall = np.inf
         self._say = say
         self._stream = socket(stack, context, zmq.SUB)
         self._stream.connect(endpoint)
-        for topic in (messages.ESTIMATE, messages.TAXELS, messages.HEALTH, messages.ADVICE):
+        for topic in (messages.ESTIMATE, messages.TAXELS, messages.HEALTH):
             self._stream.setsockopt(zmq.SUBSCRIBE, topic)
 
     def wait(self, ms: int) -> None:
@@ -59,8 +57,6 @@ class Listener:
                 self.table.on_taxels(message)
             elif topic == messages.HEALTH:
                 self._on_health(message, t)
-            elif topic == messages.ADVICE:
-                self.on_advice(messages.advice_of(message), message["t"])
             elif time.time() < self._finished_wall:
                 self.begun |= message["t"] > 0.0
                 line = self.table.on_estimate(message)

@@ -15,6 +15,7 @@ from taxeld_hil.grade.judge import Judge
 from taxeld_hil.grade.reconcile import Law, laws
 from taxeld_hil.rig.bench import Bench, recorded, write_config
 from taxeld_hil.rig.rig import Rig
+from taxeld_hil.run.advice import REST_S, AdviceThread
 from taxeld_hil.run.listener import Listener, Say, socket
 from taxeld_hil.run.processes import Processes
 from taxeld_hil.run.watch import HEADER, OBJECT, ContactTable
@@ -99,9 +100,7 @@ class LiveRun:
             self._listener = Listener(
                 stack, context, stream, self._judging(rig), self._table(rig), self._say
             )
-            self._listener.on_advice = lambda advice, t: rig.advise(
-                advice, bench.t - (time.time() - t), bench.t
-            )
+            self._advice = AdviceThread(written) if scenario.advised else None
             self.processes = Processes(written, stream, scenario, LOG_LEVEL)
             stack.callback(self.processes.kill)
             self.processes.start()
@@ -145,9 +144,18 @@ class LiveRun:
             self._listener.wait(STEP_MS)
             bench.step()
             self._listener.receive(bench.t)
+            if self._advice is not None and bench.rig.wants_advice(bench.t - REST_S):
+                self._advise(self._advice, bench)
             self._supervise(bench)
             if bench.start_s is None and time.monotonic() - began > START_S:
                 raise SetupError(f"the daemon did not start the skin within {START_S:g} s")
+
+    @staticmethod
+    def _advise(thread: AdviceThread, bench: Bench) -> None:
+        """Have the robot follow advice on all that was felt before it came to rest."""
+        thread.ask()
+        if (advice := thread.taken()) is not None:
+            bench.rig.advise(advice, bench.t, bench.t)
 
     def _supervise(self, bench: Bench) -> None:
         t = bench.t

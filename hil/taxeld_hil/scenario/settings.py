@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from taxeld.advice.lines import Reach
 from taxeld.config.tables import SensorPoseConfig
 from taxeld.proposals import bundle
 from taxeld_hil.scenario.scenario import Scenario
@@ -38,13 +39,8 @@ endpoint = "ipc://{place}/control"
 """
 
 
-REACH_M = 0.6  # of an advised robot
-ADVISED = """\
-half_width_m = {place_m}
-[advice]
-enabled = true
-reach_m = [-{reach_m}, {reach_m}, -{reach_m}, {reach_m}]
-"""
+REACH = Reach(box_m=(-0.6, 0.6, -0.6, 0.6))  # of an advised robot
+ADVISED = "half_width_m = {place_m}\n"
 
 
 def text(
@@ -61,7 +57,7 @@ def text(
         sigma_m=scenario.robot_m or SensorPoseConfig().sigma_m,  # the daemon is told
         seed=seed,
         filter_keys=filter_keys,
-        advised=ADVISED.format(place_m=scenario.place_m, reach_m=REACH_M) * scenario.advised,
+        advised=ADVISED.format(place_m=scenario.place_m) * scenario.advised,
         place=place,
     )
 

@@ -24,6 +24,7 @@ class AdvisedRobot:
     def __init__(self, model: ObservationModel, truth: Poses, hold_s: float, seed: int) -> None:
         """`truth` (3,): the object's pose in the world; `hold_s`: how long a press is held."""
         self._model, self._truth, self._hold_s = model, truth, hold_s
+        self._contacts, self._tried = -1, list[Poses]()  # approaches since so many contacts
         self._centre = se2.compose(truth, np.array([*model.scene.centre, 0.0]))[:2]
         self._circle = model.scene.reach + model.layout.radius_m + robot.STANDOFF_M
         angle = np.random.default_rng(seed).uniform(-np.pi, np.pi)
@@ -31,10 +32,16 @@ class AdvisedRobot:
         self.path = RobotPath(np.zeros(1), np.array([start]))
 
     def best(self, advice: Advice) -> Approach:
-        """The best approach, or the next where its touch was not felt just before."""
-        was = self.path.end  # where the last approach began
-        new = (one for one in advice.approaches if not np.allclose(one.before, was))
-        return next(new, advice.approaches[0])
+        """The best approach that was not tried since the last contact."""
+        if advice.contacts != self._contacts:
+            self._contacts, self._tried = advice.contacts, []
+        new = (one for one in advice.approaches if not self._has_tried(one))
+        found = next(new, advice.approaches[0])
+        self._tried.append(found.before)
+        return found
+
+    def _has_tried(self, one: Approach) -> bool:
+        return any(np.allclose(one.before, was) for was in self._tried)
 
     def follow(self, approach: Approach, begin_s: float) -> None:
         """Go along an approach and back to where it began, from `begin_s` on, after all before."""

@@ -60,7 +60,6 @@ class AdvisedTouch(NamedTuple):
     right: bool  # whether the likeliest object is the one that is touched
     contacts: int  # touches so far that met anything
     advice_ms: float  # processor time of the advice before this touch; 0 without
-    worst_ms: float  # of the longest piece of that work
 
 
 @dataclass(frozen=True)
@@ -159,16 +158,16 @@ def _played(
             estimator.on_scan(moment.activation, moment.sensor)
         now = estimator.estimate
         error_mm = 1e3 * add_m(known[now.object].model.scene, now.map, moment.truth)[1]
-        cost = guide.costs[-1] if guide.costs else (0.0, 0.0)
+        cost_ms = guide.costs_ms[-1] if guide.costs_ms else 0.0
         found.append(
-            AdvisedTouch(round(error_mm, 3), now.p, now.object == true, now.contacts, *cost)
+            AdvisedTouch(round(error_mm, 3), now.p, now.object == true, now.contacts, cost_ms)
         )
     return found
 
 
 def _row(given: GuidedTrials, trials: Sequence[Any]) -> dict[str, Any]:
     """Shares after each touch, and what an advice costs."""
-    error_mm, p, right, contacts, spent_ms, worst_ms = np.moveaxis(np.array(trials), -1, 0)
+    error_mm, p, right, contacts, spent_ms = np.moveaxis(np.array(trials), -1, 0)
     found, sure = (error_mm < FOUND_MM) & (right > 0.0), p >= SURE
     due = np.flatnonzero((found & sure).mean(axis=0) >= DUE)
     row: dict[str, Any] = {
@@ -187,8 +186,7 @@ def _row(given: GuidedTrials, trials: Sequence[Any]) -> dict[str, Any]:
     if given.alike:
         row["right_object"] = right.mean(axis=0).round(3).tolist()
     if spent_ms.any():
-        spent_ms, worst_ms = spent_ms[spent_ms > 0.0], worst_ms[spent_ms > 0.0]
+        spent_ms = spent_ms[spent_ms > 0.0]
         row["advice_ms"] = round(float(np.median(spent_ms)), 2)
         row["advice_ms_95"] = round(float(np.percentile(spent_ms, 95.0)), 2)
-        row["piece_ms"] = round(float(np.median(worst_ms)), 2)
     return row

@@ -1,15 +1,13 @@
 """Guides of trials: who says where the next touch is made. All but `any` know the belief alone."""
 
 import time
-from typing import NamedTuple
 
 import numpy as np
 
 from taxeld.advice import hypotheses
 from taxeld.advice.advice import Advisor, Approach, Effort
-from taxeld.advice.lines import PAST_M, Lines
+from taxeld.advice.lines import PAST_M, Lines, Reach
 from taxeld.arrays import Floats
-from taxeld.config.tables import AdviceConfig
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import se2
 
@@ -22,13 +20,6 @@ GUIDES = (ANY, RANDOM, OPPOSITE, ADVICE, ALL_LINES)
 EFFORTS = {ALL_LINES: Effort(own=48, fresh=32, tried=1000)}
 
 
-class Cost(NamedTuple):
-    """Processor time of an advice [ms]."""
-
-    all_ms: float
-    worst_ms: float  # of its longest piece
-
-
 class Guide:
     """Guides the touches of one trial by an estimator's belief."""
 
@@ -36,10 +27,10 @@ class Guide:
         """`name`: of `GUIDES`."""
         self._name, self._estimator = name, estimator
         self._effort = EFFORTS.get(name, Effort())
-        self._advisor = Advisor(estimator, AdviceConfig(), self._effort)
+        self._advisor = Advisor(estimator, effort=self._effort)
         self._rng = np.random.default_rng((seed, 9))
         self._direction = 0.0  # of the last approach
-        self.costs: list[Cost] = []
+        self.costs_ms: list[float] = []  # processor time of each advice
 
     def __call__(self, touch: int) -> Approach | None:
         """The first touch is the same under all guides: it finds the object."""
@@ -48,19 +39,14 @@ class Guide:
         return self._line() if self._name in (RANDOM, OPPOSITE) else self._advised()
 
     def _advised(self) -> Approach | None:
-        self._advisor.begin()
-        took, done = [], False
-        while not done:
-            began_s = time.process_time()
-            done = self._advisor.step()
-            took.append(1e3 * (time.process_time() - began_s))
-        self.costs.append(Cost(sum(took), max(took)))
-        advice = self._advisor.advice
-        return advice.approaches[0] if advice and advice.approaches else None
+        began_s = time.process_time()
+        advice = self._advisor.advise()
+        self.costs_ms.append(1e3 * (time.process_time() - began_s))
+        return advice.approaches[0] if advice.approaches else None
 
     def _line(self) -> Approach | None:
-        work = hypotheses.drawn(self._estimator, self._effort.own, self._effort.fresh, self._rng)
-        found = hypotheses.at_once(work)
+        own, fresh = self._effort.own, self._effort.fresh
+        found = hypotheses.drawn(self._estimator, own, fresh, self._rng)
         fan = self._advisor.fan(found, 0)
         free, ways = self._advisor.free(fan, found)
         if not len(free):
@@ -80,5 +66,5 @@ def _approach(line: Lines, way: Floats) -> Approach:
     touched = way[np.isfinite(way)]
     end = min(float(touched.max()) + PAST_M, float(line.length_m[0]))
     before, at, until = line.after_each(np.array([0.0, float(touched.min()), end]))
-    depth_m, direction = AdviceConfig().depth_m, float(line.direction[0])
+    depth_m, direction = Reach().depth_m, float(line.direction[0])
     return Approach(line.link, before, at, until, direction, depth_m, 0.0, 0.0, 0.0)

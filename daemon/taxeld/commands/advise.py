@@ -1,0 +1,142 @@
+"""`taxeld advise`: where to touch next, by the scans that a running daemon remembers.
+
+A client: the daemon hands over what it has felt, and this process learns it by the same estimator.
+"""
+
+import io
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taxeld.advice.advice import Advice, Advisor, Approach
+from taxeld.advice.lines import Reach
+from taxeld.commands.unanswered import unanswered
+from taxeld.config.tables import Config
+from taxeld.errors import SetupError
+from taxeld.estimator.history import Arrays, scans_of
+from taxeld.layout import read as layouts
+from taxeld.model import se2
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld.proposals import several
+from taxeld.service import calibration_file
+from taxeld.stream import client
+
+LOOK_S = 0.2  # pause between two questions
+OTHER = "the daemon has another scene, skin or filter than this configuration: name the one it runs"
+
+
+class Adviser:
+    """Advises by a configuration's objects and skins, and by remembered scans."""
+
+    def __init__(self, config: Config, reach: Reach | None = None) -> None:
+        """Raises SetupError where a file that the configuration names cannot be used."""
+        skins = [layouts.load(one.skin.layout) for one in config.each]
+        bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
+        if not bundles:
+            raise SetupError("scene.bundle: is empty; advice is on an object")
+        config = several.sized(config, [one.manifest for one in bundles])
+        samples = several.untimed(bundles, config.filter)
+        calibrations = [calibration_file.of(*each) for each in zip(config.each, skins, strict=True)]
+        models = [one.model for one in bundles]
+        pipeline = Pipeline(config, skins, models, samples, calibration=calibrations)
+        self._estimator = pipeline.estimator
+        self._mounts = [None if one is None else one.mount for one in calibrations]
+        self._advisor = Advisor(self._estimator, reach)
+
+    def advise(self, memory: Arrays) -> Advice:
+        """Advice by the scans of a daemon's `memory`, in the poses that the robot sends.
+
+        Raises:
+            SetupError: the daemon's configuration is another one.
+        """
+        if memory["digest"].item() != self._estimator.digest:
+            raise SetupError(OTHER)
+        self._estimator.reset()
+        self._estimator.relearn(scans_of(memory))
+        advice = self._advisor.advise()
+        return replace(advice, approaches=tuple(map(self._as_robot, advice.approaches)))
+
+    def _as_robot(self, one: Approach) -> Approach:
+        mount = self._mounts[one.link]
+        if mount is None:
+            return one
+        back = se2.inverse(mount)
+        before, at, until = (se2.compose(p, back) for p in (one.before, one.at, one.until))
+        return replace(one, before=before, at=at, until=until)
+
+
+def remembered(endpoint: str, keys: Path | None = None) -> Arrays:
+    """The scans that the daemon at a control endpoint remembers, as `estimator.history` packs them.
+
+    Raises:
+        SetupError: no daemon answers, or it has felt nothing yet.
+    """
+    answer = client.ask(endpoint, "memory", keys)
+    if answer is None:
+        raise SetupError(unanswered(endpoint))
+    if not answer.get("ok"):
+        raise SetupError(f"{endpoint}: {answer.get('error', 'an answer of another kind')}")
+    with np.load(io.BytesIO(answer["memory"]), allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def advise(config: Config, reach: Reach | None = None, keys: Path | None = None) -> Advice:
+    """Where to touch next: by what the daemon of a configuration has felt so far.
+
+    Raises:
+        SetupError: it does not answer, has felt nothing, or has another configuration.
+    """
+    return Adviser(config, reach).advise(remembered(config.control.endpoint, keys))
+
+
+def follow(
+    config: Config, reach: Reach, keys: Path | None, stopping: Callable[[], bool]
+) -> Iterator[Advice]:
+    """Advice now, and each time that the daemon has felt more, until `stopping`. Raises
+    SetupError, as `advise`."""
+    adviser, before = Adviser(config, reach), None
+    while not stopping():
+        memory = remembered(config.control.endpoint, keys)
+        if memory["changes"].tolist() != before:
+            before = memory["changes"].tolist()
+            yield adviser.advise(memory)
+        time.sleep(LOOK_S)
+
+
+def as_json(advice: Advice, names: tuple[str, ...]) -> str:
+    """One line of JSON; `names` are of the links."""
+    approaches = [_plain(one) | {"name": names[one.link]} for one in advice.approaches]
+    found = {"contacts": advice.contacts, "enough": advice.is_enough, "approaches": approaches}
+    return json.dumps(found)
+
+
+def _plain(one: Approach) -> dict[str, Any]:
+    found = asdict(one)
+    for name in ("before", "at", "until"):
+        found[name] = dict(zip(("x", "y", "theta"), found[name].tolist(), strict=True))
+    return found
+
+
+def lines(advice: Advice, names: tuple[str, ...]) -> Iterator[str]:
+    """Lines for a person; `names` are of the links."""
+    free = ", best first:" if advice.approaches else ": no approach is free"
+    says = ": no touch would tell more" if advice.is_enough else free
+    yield f"after {advice.contacts} contacts{says}"
+    for number, one in enumerate(advice.approaches, 1):
+        of = f" with {names[one.link]}" if names[one.link] else ""
+        yield f"{number}. from {_place(one.before)}, yaw {one.before[2]:.3f} rad{of}"
+        along, deep = math.degrees(one.direction), 1e3 * one.depth_m
+        yield f"   along {along:.0f}°, until {_place(one.until)} at most"
+        yield f"   contact expected at {_place(one.at)}; then press {deep:.1f} mm"
+        chances = f"touches {one.p_touch:.0%}, sure afterwards {one.p_sure:.0%}"
+        yield f"   {chances}, gain {1e3 * one.gain:.1f} mm"
+
+
+def _place(pose: Any) -> str:
+    return f"x {pose[0]:.4f} m, y {pose[1]:.4f} m"
