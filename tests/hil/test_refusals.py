@@ -40,8 +40,6 @@ WRONG = [  # a command line, and words of its line
     ("matrix demo --workers 0 --out {place}/out", "--workers must be at least 1"),
     ("matrix demo", "--out: is required"),
     ("calibration --foam scene --out {place}/out", "--foam scene: is no soft skin"),
-    ("physics --touches --out {place}/out", "taxeld-hil physics is gone; "),
-    ("touches --out {place}/out", "taxeld-hil touches is gone; "),
     (f"{WATCH} foo", f"--endpoint: 'foo' is no endpoint{NO_ENDPOINT}"),
     (f"{WATCH} tcp://", NO_ENDPOINT),
     (f"{WATCH} tcp://a:b", NO_ENDPOINT),
