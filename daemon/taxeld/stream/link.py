@@ -147,6 +147,8 @@ class Link:
                 packet = self._socket.recv(BODY_MAX + 1)
             except BlockingIOError:
                 break
+            except ConnectionResetError:  # the kernel says so ahead of what the door has sent
+                continue
             except OSError:
                 packet = b""
             if not packet:
