@@ -63,6 +63,7 @@ class Report:
     array: PeerLine = field(default_factory=PeerLine)
     confined: bool = False  # by Landlock
     keys_refused: int = 0  # connections without an authorised key
+    unbound: int = 0  # TCP endpoints that are tried again
 
 
 class Link:
