@@ -35,7 +35,7 @@ from tests.rig.simulated_skin import SimulatedSkin
 EVERY_KEY = [
     *("v", "seq", "t", "mono_ns", "valid", "why", "status"),
     *("p", "radius_m", "hypotheses"),
-    *("object", "objects", "estimates", "contact", "contacts", "map", "mean", "cov"),
+    *("object", "objects", "contact", "contacts", "map", "mean", "cov"),
     *("modes", "ess", "particles", "injected", "proposal", "log_evidence", "age_us", "overruns"),
     *("degraded", "lat_us"),
 ]
@@ -415,7 +415,7 @@ def test_control_answers_and_survives_nonsense(daemon: Daemon, tmp_path: Path) -
         for nonsense in (b"", b"\xc1", b"junk", msgpack.packb([1]), msgpack.packb({"cmd": 7})):
             answer = ask(daemon, socket, nonsense)
             assert not answer["ok"]
-            assert "known: status, info, tare, reset" in answer["error"]
+            assert "known: status, info, memory, tare, reset" in answer["error"]
 
 
 def test_a_client_that_breaks_off_does_not_wedge_control(daemon: Daemon, tmp_path: Path) -> None:

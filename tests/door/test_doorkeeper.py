@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import zmq
 
 from taxeld.door import sandbox
 from taxeld.door.settings import OOM_SCORE, Settings
@@ -105,27 +104,56 @@ def test_signals_of_a_terminal_or_a_service_that_stops_leave_the_door_to_its_loo
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("kind", ["stream", "control", "tcp", "keys"])
+@pytest.mark.parametrize("kind", ["stream", "control", "keys"])
 def test_an_endpoint_that_cannot_be_served_is_one_line(tmp_path: Path, kind: str) -> None:
     (tmp_path / "precious").write_text("x", encoding="ascii")
-    port = free_port()
     taken = {
         "stream": {"publish": (f"ipc://{tmp_path}/precious",)},
         "control": {"control": f"ipc://{tmp_path}/precious"},
-        "tcp": {"relay_publish": (f"tcp://127.0.0.1:{port}",)},
-        "keys": {"relay_publish": (f"tcp://127.0.0.1:{port}",), "keys": str(tmp_path)},
+        "keys": {"keys": str(tmp_path)},
     }[kind]
     said = {
         "stream": "publish.endpoints: .* is no socket; remove it",
         "control": "control.endpoint: .* is no socket; remove it",
-        "tcp": r"relay.publish: cannot bind tcp://127.0.0.1:\d+ \(Address already in use",
         "keys": "curve.directory: .*server.key_secret is not there",
     }[kind]
-    with zmq.Context() as context, context.socket(zmq.PUB) as other:
-        other.bind(f"tcp://127.0.0.1:{port}")
-        with pytest.raises(SetupError, match=said) as error:
-            Stand(tmp_path, **taken)
+    with pytest.raises(SetupError, match=said) as error:
+        Stand(tmp_path, **taken)
     assert "\n" not in str(error.value)
+
+
+FAULTY = """#!{python}
+import socket, sys, time
+end = socket.socket(fileno=int(sys.argv[4]))
+end.send(b"\\x11a fault")  # FAULT
+end.close()
+time.sleep(60)  # to end takes time
+"""
+
+
+def test_a_door_that_states_a_fault_is_started_again_after_the_long_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    faulty = tmp_path / "python"
+    faulty.write_text(FAULTY.format(python=sys.executable), encoding="utf-8")
+    faulty.chmod(0o755)
+    with Stand(tmp_path) as stand:
+        pauses: list[float] = []
+        wait = stand.keeper._stops.wait
+
+        def paused(seconds: float) -> bool:
+            pauses.append(seconds)
+            return wait(0.01)
+
+        monkeypatch.setattr(stand.keeper._stops, "wait", paused)
+        with monkeypatch.context() as failing:
+            failing.setattr(sys, "executable", str(faulty))
+            os.kill(stand.pid, signal.SIGKILL)
+            stand.until(lambda: len(pauses) > 3)
+        assert pauses[1:] == [doorkeeper.REFUSED_S] * len(pauses[1:])
+        stand.until(lambda: stand.link.is_ready)
+    told = [line for line in caplog.messages if line != "door: a fault"]
+    assert told == ["door: ended by SIGKILL; it is started again"]
 
 
 def test_a_second_daemon_leaves_the_first_ones_sockets_alone(tmp_path: Path) -> None:

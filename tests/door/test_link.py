@@ -84,6 +84,15 @@ def test_poses_and_changes_reach_the_loop(ends: Ends) -> None:
     assert ends.heard() == [(Kind.ANSWER, pair.REQUEST.pack(7))]
 
 
+def test_a_fault_is_heard_of_a_door_that_ends_without_reading(ends: Ends) -> None:
+    ends.say(Kind.FAULT, b"no such key")
+    assert ends.door is not None
+    ends.door.close()
+    ends.look()
+    assert ends.link.fault == "no such key"
+    assert ends.link.end is None
+
+
 def test_the_door_is_asked_for_poses(ends: Ends) -> None:
     ends.heard()
     ends.link.ask_poses(also_next=True)

@@ -7,9 +7,11 @@ import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import zmq
+
 from taxeld.config import endpoints, links
 from taxeld.config.tables import Config, SourceConfig
-from taxeld.door.binding import Binding, ServedError
+from taxeld.door.binding import Binding, NotNowError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
@@ -49,7 +51,7 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
     def attempt(step: Callable[..., object], *args: object) -> None:
         try:
             step(*args)
-        except (BusyError, ServedError) as error:
+        except (BusyError, NotNowError) as error:
             if not is_running:
                 found.append(str(error))
         except SetupError as error:
@@ -74,10 +76,14 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
         if bus.kind in ("can", "serial") and not may_be_used:
             attempt(_open_device, bus)
     attempt(_read_keys, config)
-    for endpoint in config.publish.endpoints:
-        attempt(_serve, endpoint, "publish.endpoints")
-    if config.control.endpoint:
-        attempt(_serve, config.control.endpoint, "control.endpoint")
+    for key, named in (
+        ("publish.endpoints", config.publish.endpoints),
+        ("control.endpoint", (config.control.endpoint,)),
+        ("relay.publish", config.relay.publish),
+        ("relay.control", (config.relay.control,)),
+    ):
+        for endpoint in filter(None, named):
+            attempt(_serve, endpoint, key)
     return found
 
 
@@ -138,8 +144,12 @@ def _read_keys(config: Config) -> None:
 
 def _serve(endpoint: str, key: str) -> None:
     endpoints.make_directory(endpoint)
-    with contextlib.closing(Binding(endpoint, key)):
-        pass
+    with (
+        contextlib.closing(Binding(endpoint, key)) as binding,
+        zmq.Context() as context,
+        context.socket(zmq.XPUB) as socket,
+    ):
+        binding.let_in(socket)
 
 
 def _down(source: SourceConfig) -> str:

@@ -76,6 +76,8 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     used = health.get("calibration")
     if used:
         yield "Calibration", _calibration(used)
+    if unbound := health.get("door", {}).get("unbound"):
+        yield "TCP", f"{unbound} endpoint{'s are' if unbound > 1 else ' is'} not bound; see the log"
     for name, link in health.get("links", {}).items():
         yield f"Link {name}", _link(link)
     dead = health["dead_taxels"]

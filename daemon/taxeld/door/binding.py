@@ -1,5 +1,6 @@
 """Endpoints, bound: a socket file belongs to the daemon, and goes with it."""
 
+import errno
 import os
 import socket as kernel
 from pathlib import Path
@@ -14,10 +15,16 @@ from taxeld.stream.sockets import why
 
 BACKLOG = 128
 PROBE_S = 1.0
+ABSENT = "'ip address' lists this machine's addresses"
+LATER = {  # a TCP address that may be bound later → how to find out
+    errno.EADDRINUSE: "'ss -tlnp' tells which program has the port",
+    errno.EADDRNOTAVAIL: ABSENT,
+    errno.ENODEV: ABSENT,  # an interface that is not there, or has no address yet
+}
 
 
-class ServedError(SetupError):
-    """Another daemon serves the endpoint."""
+class NotNowError(SetupError):
+    """The endpoint cannot be had now, and may be had later."""
 
 
 class Binding:
@@ -31,6 +38,7 @@ class Binding:
         """Raises SetupError, in the name of `key`, where the endpoint is taken or cannot be had."""
         self._endpoint = endpoint
         self._key = key
+        self.name = f"{key}: {endpoint}"
         self._path = endpoints.ipc_path(endpoint)
         self._listening: kernel.socket | None = None  # listening socket of an ipc endpoint
         self._file: tuple[int, int] | None = None
@@ -42,14 +50,19 @@ class Binding:
                 raise self._fault(str(error.strerror)) from None
 
     def let_in(self, socket: zmq.Socket[Any]) -> None:
-        """Have `socket` serve whoever comes. Raises SetupError where it cannot."""
+        """Have `socket` serve whoever comes.
+
+        Raises:
+            NotNowError: somebody else has the TCP address, or this machine lacks it.
+            SetupError: it cannot be bound at all.
+        """
         socket.setsockopt(zmq.IPV6, "[" in self._endpoint)
         if self._listening is not None:
             socket.setsockopt(zmq.USE_FD, os.dup(self._listening.fileno()))
         try:
             socket.bind(self._endpoint)
         except zmq.ZMQError as error:
-            raise self._fault(why(error)) from None
+            raise self._fault(why(error), LATER.get(error.errno or 0, "")) from None
         finally:
             socket.setsockopt(zmq.USE_FD, -1)
 
@@ -75,11 +88,11 @@ class Binding:
         made.listen(BACKLOG)
         self._listening, self._file = made, _identity(path)
 
-    def _fault(self, reason: str) -> SetupError:
-        return SetupError(
-            f"{self._key}: cannot bind {self._endpoint} ({reason}); "
-            "is another daemon there? stop it or name another endpoint"
-        )
+    def _fault(self, reason: str, later: str = "") -> SetupError:
+        line = f"{self._key}: cannot bind {self._endpoint} ({reason}); "
+        if later:
+            return NotNowError(line + later)
+        return SetupError(line + "is another daemon there? stop it or name another endpoint")
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
@@ -112,4 +125,4 @@ def make_way(path: Path, key: str) -> None:
             return
         except OSError as error:
             raise SetupError(f"{key}: cannot take over {path} ({error.strerror})") from None
-    raise ServedError(f"{key}: another daemon serves {path}; stop it or name another endpoint")
+    raise NotNowError(f"{key}: another daemon serves {path}; stop it or name another endpoint")

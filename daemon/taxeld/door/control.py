@@ -16,7 +16,6 @@ from typing import Any
 import msgpack
 import zmq
 
-from taxeld.door.binding import Binding
 from taxeld.prior import PosePrior, read_prior
 from taxeld.stream.sockets import credentials, is_waiting, open_socket, sender, unpack
 
@@ -42,18 +41,10 @@ Change = Callable[
 class Control:
     """Serves one endpoint by a ROUTER: with REP a client that breaks off would wedge it."""
 
-    def __init__(
-        self, socket: zmq.Socket[Any], endpoint: str, key: str, may_change: MayChange
-    ) -> None:
+    def __init__(self, socket: zmq.Socket[Any], may_change: MayChange) -> None:
         """`socket`: from `open_router`; `may_change`: why the peer that sent a frame may not change
-        anything, empty where it may.
-
-        Raises:
-            SetupError: the endpoint cannot be had, in the name of `key`.
-        """
+        anything, empty where it may."""
         self.socket, self._may_change = socket, may_change
-        self._binding = Binding(endpoint, key)
-        self._binding.let_in(socket)
         self._pending: dict[int, tuple[float, list[bytes]]] = {}  # since when, and for whom
 
     def poll(self, now_s: float, answers: Mapping[str, Callable[[], Body]], change: Change) -> None:
@@ -80,7 +71,6 @@ class Control:
 
     def close(self) -> None:
         self.socket.close()
-        self._binding.close()
 
     def _answer(
         self,

@@ -16,6 +16,7 @@ from taxeld.config import endpoints
 from taxeld.door import control, sandbox
 from taxeld.door.admission import Admission
 from taxeld.door.arrays import Datagrams, Published, open_arrays
+from taxeld.door.binding import Binding, NotNowError
 from taxeld.door.control import Control, MayChange, packed_error, packed_ok
 from taxeld.door.robot import Robot
 from taxeld.door.settings import Settings
@@ -64,6 +65,8 @@ class Door:
         self._streams: list[Streams] = []
         self._publishers: dict[tuple[str, bool], Streams] = {}  # by key, and whether keys are taken
         self._controls: list[Control] = []
+        self._bindings: list[Binding] = []
+        self._unbound: list[tuple[Binding, zmq.Socket[Any]]] = []  # addresses to be tried again
         self._robot: Robot | None = None
         self._array: Published | Datagrams | None = None
         self._admission: Admission | None = None
@@ -129,6 +132,7 @@ class Door:
         self._tell_wanted()
         if now_s >= self._next_report_s:
             self._next_report_s = now_s + REPORT_S
+            self._bind_again()
             self._send_report()
         changed = self._array is not None and self._array.look(now_s)
         if self._robot is None:
@@ -229,6 +233,7 @@ class Door:
     def _send_report(self) -> None:
         if self._admission is not None:
             self._report.keys_refused = self._admission.refused
+        self._report.unbound = len(self._unbound)
         pair.send(self._end, Kind.REPORT, msgpack.packb(asdict(self._report)))
 
     def _open(
@@ -271,7 +276,7 @@ class Door:
             made = Streams(publisher)
             self._publishers[alike] = made
             self._streams.append(made)
-        self._publishers[alike].bind(endpoint, key)
+        self._bind(self._publishers[alike].socket, endpoint, key)
 
     def _serve(
         self, context: zmq.Context[Any], endpoint: str, key: str, may_change: MayChange
@@ -280,7 +285,26 @@ class Door:
             router = control.open_router(context)
             if (guard := self._guard_of(endpoint)) is not None:
                 guard.serve(router)
-            self._controls.append(Control(router, endpoint, key, may_change))
+            self._controls.append(Control(router, may_change))
+            self._bind(router, endpoint, key)
+
+    def _bind(self, socket: zmq.Socket[Any], endpoint: str, key: str) -> None:
+        """An address that may be had later is tried again; the rest is served meanwhile."""
+        binding = Binding(endpoint, key)
+        self._bindings.append(binding)
+        try:
+            binding.let_in(socket)
+        except NotNowError as error:
+            log.warning("%s; it is tried again each second", error)
+            self._unbound.append((binding, socket))
+
+    def _bind_again(self) -> None:
+        for waiting in tuple(self._unbound):
+            binding, socket = waiting
+            with contextlib.suppress(SetupError):
+                binding.let_in(socket)
+                self._unbound.remove(waiting)
+                log.info("%s is bound", binding.name)
 
     def _make_poller(self) -> None:
         self._poller = zmq.Poller()
@@ -295,7 +319,7 @@ class Door:
 
     def _close_all(self) -> None:
         heard = self._robot, self._array
-        for owner in (*self._streams, *self._controls, *heard, self._admission):
+        for owner in (*self._streams, *self._controls, *heard, self._admission, *self._bindings):
             if owner is not None:
                 owner.close()
 
@@ -315,10 +339,7 @@ class _ToLoop(logging.Handler):
 
 def main() -> None:
     """`python -m taxeld.door DESCRIPTOR SETTINGS`, the door's end of the pair."""
-    for number in (
-        signal.SIGINT,
-        signal.SIGTERM,
-    ):  # signals of a terminal, or of a service that is stopped
+    for number in (signal.SIGINT, signal.SIGTERM):  # of a terminal, of a service that stops
         signal.signal(number, signal.SIG_IGN)  # the loop ends the door when it has ended
     end = socket.socket(fileno=int(sys.argv[1]))
     log.addHandler(_ToLoop(end))

@@ -11,7 +11,6 @@ from typing import Any
 
 import zmq
 
-from taxeld.door.binding import Binding
 from taxeld.stream.sockets import connection_of, is_waiting, open_socket
 from taxeld.stream.topics import INFO, TOPICS
 
@@ -31,15 +30,8 @@ class Streams:
         self.socket = socket
         self._prefixes: Counter[bytes] = Counter()  # connections that hear a prefix of our topics
         self._asked: dict[tuple[int, int], set[bytes]] = {}  # by descriptor and inode
-        self._bindings: list[Binding] = []
         self._greets = False
         self._next_info_s = -math.inf
-
-    def bind(self, endpoint: str, key: str) -> None:
-        """Raises SetupError, in the name of `key`, where the endpoint cannot be had."""
-        binding = Binding(endpoint, key)
-        binding.let_in(self.socket)
-        self._bindings.append(binding)
 
     @property
     def wanted(self) -> Set[bytes]:
@@ -73,8 +65,6 @@ class Streams:
 
     def close(self) -> None:
         self.socket.close()
-        for binding in self._bindings:
-            binding.close()
 
     def _take(self, frame: zmq.Frame) -> None:
         number = connection_of(frame)

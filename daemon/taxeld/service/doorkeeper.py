@@ -55,6 +55,7 @@ class Doorkeeper:
         self._stops = threading.Event()
         self._started: _Started | None = None
         self._process: subprocess.Popen[bytes] | None = None  # the one that the loop has met
+        self._refused: subprocess.Popen[bytes] | None = None  # the last that has stated a fault
         self._was_ready = False
         self._fault = ""  # why the last start failed
         self._thread = threading.Thread(target=self._keep, name="doorkeeper", daemon=True)
@@ -78,8 +79,8 @@ class Doorkeeper:
         self._was_ready = True
 
     def look(self, link: Link, now_s: float) -> None:
-        """Hand `link` a new door where there is one, and have it take what the door says; one that
-        it has let go is ended. `now_s` is monotonic."""
+        """Give `link` a restarted door, read its packets, and kill a door that `link` dropped;
+        `now_s` is monotonic."""
         started, self._started = self._started, None
         if started is not None:
             link.attach(started.end, now_s)
@@ -87,7 +88,7 @@ class Doorkeeper:
         link.look(now_s)
         if link.fault and self._was_ready:
             log.error("door: %s", link.fault)
-            link.fault = ""
+            link.fault, self._refused = "", self._process
         if link.end is None and self._process is not None:
             self._process.kill()
             self._process = None
@@ -127,7 +128,8 @@ class Doorkeeper:
             self._fault = f"the door cannot be started: {sys.executable} ({error.strerror})"
             log.error("%s", self._fault)
             return REFUSED
-        return process.wait()
+        status = process.wait()
+        return REFUSED if process is self._refused else status  # `look` may have killed it
 
     def _start(self) -> subprocess.Popen[bytes]:
         """Raises OSError where no descriptor or no process is left."""

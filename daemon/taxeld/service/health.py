@@ -53,6 +53,7 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
             "confined": report.confined,
             "unsent": daemon.link.unsent,
             "keys_refused": report.keys_refused,
+            "unbound": report.unbound,
         },
         "recording": {
             "dropped": written.dropped if written else 0,

@@ -64,6 +64,7 @@ class Report:
     array: PeerLine = field(default_factory=PeerLine)
     confined: bool = False  # by Landlock
     keys_refused: int = 0  # connections without an authorised key
+    unbound: int = 0  # TCP endpoints that are tried again
 
 
 class Link:
@@ -157,6 +158,8 @@ class Link:
                 packet = self._socket.recv(BODY_MAX + 1)
             except BlockingIOError:
                 break
+            except ConnectionResetError:  # the kernel says so ahead of what the door has sent
+                continue
             except OSError:
                 packet = b""
             if not packet:

@@ -10,7 +10,7 @@ A packet is one byte for its kind, and a body. To the door:
 
 To the loop:
 
-    READY    all endpoints are served
+    READY    the door serves
     FAULT    a line: an endpoint or a key cannot be used, and the door ends
     WANTED   a bit for each topic that somebody has subscribed to (1 byte)
     POSES    t, x, y, theta of the sensor (4 doubles), once or more
