@@ -29,7 +29,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, 
     place = tmp_path_factory.mktemp("run")
     write_session(place, touches=4, period_s=PERIOD_S, rest=100)
     publish = {"publish": {**served(place)["publish"], "counts": True}}
-    path = configuration(place, **publish, advice={"enabled": True})
+    path = configuration(place, **publish)
     command = [sys.executable, "-m", "taxeld.cli", "run", str(path)]
     received: dict[str, list[dict[str, Any]]] = {}
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
