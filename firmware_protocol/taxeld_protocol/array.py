@@ -135,7 +135,7 @@ class ArrayCounters:
 
 
 class ArrayDecoder:
-    """Frames of one array → scans; a `ScanDecoder`."""
+    """Frames of one array → scans."""
 
     def __init__(self, uids: Sequence[int], name: str = "") -> None:
         """`uids`: of the layout, in its order; `name`: the array's id, empty for the first that

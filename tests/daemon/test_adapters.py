@@ -22,14 +22,13 @@ from taxeld.source.sources import LiveSource, open_source
 from taxeld_hil.rig.adapters import KINDS, Adapter
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import SlcanPort
-from taxeld_protocol.cyskin import Command, Packet
+from taxeld_protocol.cyskin import LEAVE_BOOTLOADER, Command, Packet
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.slcan import BITRATES, SlcanReader, split
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
-from tests.rig.virtual_part import skin_layout
 
 COUNTS = list(range(1, 1 + CHANNELS))
 
@@ -325,20 +324,6 @@ def test_an_adapter_that_answers_late_and_refuses_the_bit_rate_is_named_with_tha
         assert all(text.split()[3][0] in "OtT" for text in said[1:]), said
 
 
-def test_an_adapter_with_nothing_behind_it_does_not_hide_that_boards_may_be_behind_ethernet(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    with closing(LateAdapter()) as late:
-        config = configured(late.device, True, dialect="icub")
-        with closing(open_source(config, skin_layout())) as source:
-            for tick in range(900):
-                source.poll(0.01 * tick)
-                late.serve(0.01 * tick)
-        for part in ("its channel is opened again", "behind an Ethernet board (EMS)"):
-            assert part in source.waits_for
-            assert sum(part in text for text in caplog.messages) == 1
-
-
 LONG = Frame(0.0, 0x17FFFFFF, b"\x01\x3b\x00\x00\x4f\x6d\x17", extended=True)
 
 
@@ -349,9 +334,9 @@ def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
 ) -> None:
     reached: list[Frame] = []
     with closing(SlcanPort(tmp_path / "adapter", reached.append, kind)) as port:
-        device = open_device(configured(str(tmp_path / "adapter"), bus), lambda *_: [LONG])
+        device = open_device(configured(str(tmp_path / "adapter"), bus))
         reader, heard, clock = SlcanReader(), [], itertools.count()
-        (waiting,) = device.pack(0, b"")
+        (waiting,) = device.pack(LEAVE_BOOTLOADER, b"")
 
         def pass_on() -> None:
             now_s = 0.01 * next(clock)
@@ -373,7 +358,7 @@ def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
 def test_a_frame_with_a_long_id_goes_to_python_cans_busses_as_such() -> None:
     with can.Bus(interface="virtual", channel="long") as bus:
         config = SourceConfig(kind="can", interface="virtual", channel="long")
-        device = open_device(config, lambda *_: [LONG])
+        device = open_device(config)
         device.put(LONG)
         message = bus.recv(PATIENCE_S)
         assert message is not None

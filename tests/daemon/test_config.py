@@ -53,10 +53,6 @@ def test_a_minimal_configuration_has_every_default() -> None:
         ("[source]\nmodules = [[7, 1, 255]]", "source.modules: [7, 1, 255]: 255 is no short id"),
         ("[source]\nmodules = [[7, 1], [7, 3]]", "source.modules: lists module 7 more than once"),
         ("[source]\nmodules = [[7, 1], [8, 1, 1]]", "source.modules: must name the hub of every"),
-        (
-            "[source]\nkind = 'can'\nchannel = 'can0'\ndialect = 'icub'\nmodules = [[7, 1]]",
-            "source.modules: is of dialect cyskin; icub names its boards",
-        ),
         ("[relay]\npublish = ['tcp://0.0.0.0:1']", "relay.publish: 'tcp://0.0.0.0:1' is not local"),
         ("[relay]\ncontrol = 'tcp://*:1'", "relay.control: 'tcp://*:1' is not local"),
         (

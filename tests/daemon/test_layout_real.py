@@ -10,7 +10,7 @@ import pytest
 from taxeld.commands.layout import arc_rad, pitch_m, tilted
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld_protocol.icub import THERMAL
+from taxeld.layout.files import THERMAL
 
 ROOT = Path(__file__).parents[2]
 DATA = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared")) / "data"

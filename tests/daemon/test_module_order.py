@@ -16,7 +16,7 @@ from taxeld.commands.record import Recording
 from taxeld.config.file import load, parse
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source import dialects, module_order
+from taxeld.source import module_order
 from taxeld.source.module_order import UNPLACED_S
 from taxeld.source.sources import LiveSource
 from taxeld_protocol import cyskin
@@ -77,7 +77,7 @@ def is_right(scans: Sequence[Scan]) -> bool:
 def listener(modules: tuple[tuple[int, ...], ...] = ()) -> tuple[LiveSource, GivenDevice]:
     config = SourceConfig(kind="can", channel="x", listen_only=True, modules=modules)
     device = GivenDevice()
-    return LiveSource(config, dialects.live(config, SKIN), lambda *_: device, None), device
+    return LiveSource(config, SKIN, lambda _: device, None), device
 
 
 def test_a_listener_reads_modules_in_the_order_of_the_list() -> None:
@@ -187,7 +187,7 @@ def test_a_recording_is_read_by_what_it_tells_anywhere_or_by_the_list(told_when:
     heard = scan(hub, 1.0) + scan(hub, 2.0)
     items = {"before": answers + heard, "after": heard + answers, "listed": heard}[told_when]
     config = SourceConfig(kind="replay", path="x", modules=LISTED if told_when == "listed" else ())
-    decoder = dialects.replayed(config, SKIN, items, "x")
+    decoder = module_order.recorded(config, SKIN, items, "x")
     scans = [scan for frame in items for scan in decoder.feed(frame)[1]]
     assert len(scans) == 2
     assert is_right(scans)
@@ -238,15 +238,6 @@ def test_decode_says_once_that_a_hubs_modules_are_assumed(
     assert said.startswith(f"{path}: has no DECLARE of hub 1; full modules of 12 channels are ")
     assert "under wrong modules" in said
     assert "--config" in said
-
-
-def test_decode_of_a_sessions_log_takes_the_dialect_of_its_configuration(tmp_path: Path) -> None:
-    path = log(tmp_path, [Frame(1.0, 0x301, bytes(8)), Frame(1.0, 0x301, b"\x80" + bytes(7))])
-    source = QUIET | {"dialect": "icub"}
-    configuration(tmp_path, source=source, skin={"full_scale_counts": 200})
-    by_itself = printed("decode", path)
-    assert by_itself == printed("decode", "--dialect", "icub", path)
-    assert by_itself != printed("decode", "--dialect", "cyskin", path)
 
 
 @pytest.mark.parametrize("source", [{}, {"modules": LISTED}], ids=["unlisted", "listed"])

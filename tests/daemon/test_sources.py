@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source import dialects, session
+from taxeld.source import session
 from taxeld.source.can_device import CanDevice
 from taxeld.source.device import LostError
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
-from taxeld.source.sources import LiveSource, Source, open_source
+from taxeld.source.sources import LiveSource, Source, least_period_ms, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
@@ -146,14 +146,13 @@ def test_a_cold_hub_on_a_can_bus_is_led_out_of_its_bootloader_by_a_frame_of_29_b
         (60, SourceConfig("serial"), 0),
         (10, SourceConfig("can"), 4),
         (1, SourceConfig("can"), 1),
-        (224, SourceConfig("can", dialect="icub"), 52),  # two frames a triangle
     ],
 )
 def test_the_shortest_period_is_what_the_bus_carries(
     modules: int, source: SourceConfig, least_ms: int
 ) -> None:
     uid = np.array([sui << 4 | name for sui in range(modules) for name in range(1, 12)])
-    assert dialects.least_period_ms(source, replace(SKIN, uid=uid)) == least_ms
+    assert least_period_ms(source, replace(SKIN, uid=uid)) == least_ms
 
 
 def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
@@ -216,7 +215,7 @@ def test_stamps_of_an_adapters_own_clock_are_replaced_by_the_arrivals(
     waiting = [can.Message(timestamp=stamp, arbitration_id=0x101, data=b"\x43")]
     heard = lambda *_: (waiting.pop() if waiting else None, False)  # noqa: E731
     monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", heard)
-    device = CanDevice(config, lambda *_: [])
+    device = CanDevice(config)
     (frame,) = device.read()
     assert (frame.t == stamp) == kept
     assert kept or time.time() - frame.t < DEADLINE_S
@@ -240,7 +239,7 @@ def test_a_bus_without_a_descriptor_is_polled_and_one_that_fails_is_lost_after_i
         return said, False
 
     monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", next_one)
-    device = CanDevice(SourceConfig(kind="can", interface="virtual", channel="x"), lambda *_: [])
+    device = CanDevice(SourceConfig(kind="can", interface="virtual", channel="x"))
     assert device.fileno() < 0
     assert [[frame.can_id for frame in device.read()] for _ in range(2)] == [[0x101], [0x102]]
     with pytest.raises(LostError):
@@ -261,7 +260,7 @@ def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_de
     cut = len(frames) // 2
     device = GivenDevice()
     with Recorder(tmp_path / "session", moves=False) as recorder:
-        source = LiveSource(settings, dialects.live(settings, SKIN), lambda *_: device, recorder)
+        source = LiveSource(settings, SKIN, lambda _: device, recorder)
         held = []
         for part in (frames[:5], [], frames[5:cut]):
             device.frames = part

@@ -16,11 +16,12 @@ from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle, choice, several
 from taxeld.proposals.manifest import FilterEntry
 from taxeld.service import calibration_file
-from taxeld.source import dialects, session
+from taxeld.source import module_order, session
 from taxeld.source.buses import check_uids, joint
 from taxeld.source.device import BusyError
 from taxeld.source.devices import open_device
 from taxeld.source.socketcan_device import bring_up
+from taxeld.source.sources import live
 from taxeld.stream import client, curve, messages
 
 SYS_NET = Path("/sys/class/net")
@@ -75,7 +76,7 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
         is_silent_on_use = bus.interface not in ("socketcan", "slcan")
         may_be_used = is_running and bus.kind == "can" and is_silent_on_use
         if bus.kind in ("can", "serial") and not may_be_used:
-            attempt(_open_device, bus)
+            attempt(lambda one: open_device(one).close(), bus)
     attempt(_read_keys, config)
     for endpoint in config.publish.endpoints:
         attempt(_serve, endpoint, "publish.endpoints")
@@ -95,13 +96,7 @@ def notes(config: Config) -> list[str]:
         found += [STILL] * config.advice.enabled
         heard = client.hears(POSES_USUAL, messages.SENSOR_POSE, HEAR_POSES_S)
         found += [POSES_UNUSED] * heard
-    if source.dialect != "icub" or source.kind == "array":
-        return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
-    return [
-        *found,
-        f"source.channel: the boards must hang on {source.channel} itself; behind an Ethernet "
-        "board (EMS), as on most iCubs, they cannot be reached over CAN",
-    ]
+    return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
 
 
 def _sizes(config: Config) -> list[str]:
@@ -118,9 +113,9 @@ def _sizes(config: Config) -> list[str]:
 def _read_source(source: SourceConfig, skin: Layout) -> None:
     if source.kind == "replay":
         recorded = session.read(Path(source.path)).items
-        dialects.replayed(source, skin, recorded, source.path)
+        module_order.recorded(source, skin, recorded, source.path)
     elif source.kind != "array":
-        dialects.live(source, skin)
+        live(source, skin)
 
 
 def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
@@ -130,10 +125,6 @@ def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
         for one in bundles:
             if one is not first:
                 one.open(one.own(name))
-
-
-def _open_device(source: SourceConfig) -> None:
-    open_device(source, lambda *_: []).close()
 
 
 def _read_keys(config: Config) -> None:

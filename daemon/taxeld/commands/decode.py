@@ -15,8 +15,7 @@ from taxeld.source import logs, module_order, session
 from taxeld.source.module_order import ListedModules, missing
 from taxeld.source.wire import Decoded, Wire
 from taxeld_protocol.cyskin import Command
-from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
-from taxeld_protocol.icub_decoder import IcubDecoder
+from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.modules import NAMES, Module
 
 KNOWN = (
@@ -29,7 +28,7 @@ log = logging.getLogger(__name__)
 
 
 def of_session(path: Path) -> SourceConfig:
-    """The dialect and modules that stand beside a log in its session; the defaults for another
+    """The modules that stand beside a log in its session; the defaults for another
     log. Modules that were declared to the recorder (`modules.toml`) go before listed ones.
 
     Raises:
@@ -47,15 +46,13 @@ def of_session(path: Path) -> SourceConfig:
     return source
 
 
-def decode(
-    path: Path, given: ListedModules | None = None, dialect: str = "cyskin", interface: str = ""
-) -> Iterator[str]:
+def decode(path: Path, given: ListedModules | None = None, interface: str = "") -> Iterator[str]:
     """The log's scans and a last line {"stats": …}. `interface`: the one to decode, where the log
     has several.
 
-    The module table of a CySkin hub comes from its DECLARE and DETAILS answers, wherever in the log
-    they stand; else from `given`; else full modules are assumed, as many as the hub's packets
-    reach, which is logged, and told as "assumed". An iCub board has the triangles that it sends.
+    A hub's module table comes from its DECLARE and DETAILS answers, wherever in the log they stand;
+    else from `given`; else full modules are assumed, as many as the hub's packets reach, which is
+    logged, and told as "assumed".
 
     Raises:
         SetupError: the log is unreadable or has no frame, the interface is ambiguous, or `given`
@@ -72,8 +69,7 @@ def decode(
     def tables() -> dict[int, Sequence[Module]]:
         return _tables(path, interface, given, assumed)
 
-    known = Decoder(lambda ihb: tables().get(ihb, ()))
-    decoder: ScanDecoder = IcubDecoder() if dialect == "icub" else known
+    decoder = Decoder(lambda ihb: tables().get(ihb, ()))
     whole = _Pass(path, decoder, interface)
     for _, scans in whole.heard():
         yield from map(_line, scans)
@@ -91,7 +87,7 @@ def decode(
 class _Pass:
     """One pass through a log: the frames of one interface, through a decoder."""
 
-    def __init__(self, path: Path, decoder: ScanDecoder, interface: str) -> None:
+    def __init__(self, path: Path, decoder: Decoder, interface: str) -> None:
         self.damage = logs.Damage()
         self._path = path
         self._decoder = decoder

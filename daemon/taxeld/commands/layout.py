@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from taxeld.layout.layout import Layout
 
 TILT_MAX_RAD = math.radians(30.0)  # the scene model assumes that a taxel gives way along its radius
-SAME_PLACE_M = 1e-4  # iCub files put taxels of unknown place at their neighbour's
+SAME_PLACE_M = 1e-4  # some files put taxels of unknown place at their neighbour's
 ABOVE_M = 0.005  # height of the lowest taxels over the table, in the next command
 CLOSED_PITCHES = 2.0  # taxel pitches: a narrower angular gap is only the space between taxels
 

@@ -4,7 +4,17 @@ A configuration's key (`table.key`), a command (`taxeld-hil draw`) or an option 
 stands here is refused with its line. The table is emptied at the next minor version.
 """
 
-GONE: dict[str, str] = {}
+ICUB = "an iCub's skin comes as an array (docs/array.md)"
+
+GONE: dict[str, str] = {
+    "source.dialect": ICUB,
+    "source.boards": ICUB,
+    "source.skin_type": ICUB,
+    "source.shift_bits": ICUB,
+    "source.offset_counts": ICUB,
+    "source.no_load_counts": ICUB,
+    "--dialect": ICUB,
+}
 
 
 def why(name: str) -> str | None:

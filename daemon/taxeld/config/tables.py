@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from taxeld.config.toml_tables import Bound, Given, between, key, one_of, unwritten
-from taxeld_protocol import icub
 from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
 from taxeld_protocol.slcan import BITRATES
@@ -17,13 +16,6 @@ SIZES = ("particles", "particles_max", "injected")  # keys of the filter's size
 OBJECTS_MAX = 16  # objects that one skin may touch
 KINDS = ("can", "serial", "array", "replay")  # of sources
 LEVELS = ("debug", "info", "warning", "error")  # levels of the log
-
-
-def _boards(boards: tuple[int, ...]) -> str | None:
-    if len(set(boards)) == len(boards) and all(b in icub.BOARDS for b in boards):
-        return None
-    first, last = icub.BOARDS[0], icub.BOARDS[-1]
-    return f"must be different boards of {first}..{last}, not {list(boards)}"
 
 
 def _modules(modules: tuple[tuple[int, ...], ...]) -> str | None:
@@ -94,20 +86,6 @@ class SkinConfig:
 @dataclass(frozen=True, slots=True)
 class SourceConfig:
     kind: str = key(check=one_of(*KINDS), doc=", ".join(KINDS))
-    dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol: cyskin, icub")
-    boards: tuple[int, ...] = key(
-        (), _boards, "dialect icub: the part's boards, in its layout's order; empty: they are asked"
-    )
-    skin_type: int = key(
-        icub.SKIN_TYPE,
-        one_of(*icub.SKIN_TYPES),
-        "dialect icub: how boards make up for their temperature",
-    )
-    shift_bits: int = key(icub.SHIFT, between(0, 15), "dialect icub: bits a capacitance loses")
-    offset_counts: int = key(
-        icub.CDC_OFFSET, between(0, 0xFFFF), "dialect icub: offset of a capacitance"
-    )
-    no_load_counts: int = key(icub.NO_LOAD, between(0, 255), "dialect icub: an idle taxel's value")
     interface: str = key("socketcan", doc="kind can: socketcan, slcan, or any of python-can's")
     channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
     bitrate: int = key(1_000_000, one_of(*BITRATES), "bit/s of the CAN bus")

@@ -20,13 +20,13 @@ from taxeld.arrays import Floats
 from taxeld.layout import normals
 from taxeld.layout.generated import TAXELS_PER_MODULE
 from taxeld.layout.layout import Provenance
-from taxeld_protocol.icub import THERMAL
 from taxeld_protocol.modules import NAMES
 
 MAX_TAXELS = 5000  # a link's skin has hundreds
 MISSING_ID = -1
 UID_BITS = 36  # SUI u32 << 4 | name
 TRIANGLE = 12  # slots of an iCub triangle
+THERMAL = (6, 10)  # slots of the common triangle that are thermal pads; a palm's are taxels
 COLUMNS = ["x", "y", "z", "nx", "ny", "nz"]  # of a plain table
 MIDDLE = 3  # slot of a triangle's middle taxel, which may stand for all ten
 NUMBER_MAX = 1e6

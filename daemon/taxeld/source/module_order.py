@@ -14,6 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.source.session import Items
 from taxeld.source.wire import Wire
+from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import Module, listed
 
@@ -75,6 +76,21 @@ class RecordedModules:
         decoder = Decoder()
         Wire(self._config, decoder).take(self._items)
         return _placed(decoder)
+
+
+def recorded(
+    config: SourceConfig, layout: Layout, items: Items, what: str
+) -> Decoder | ArrayDecoder:
+    """The decoder of a recording, named by `what`. It raises SetupError later on for a hub whose
+    modules are unknown.
+
+    Raises:
+        SetupError: the modules of the first scan are unknown.
+    """
+    if items and isinstance(items[0], ArrayFrame):
+        return ArrayDecoder(layout.uid.tolist(), config.array)
+    known = RecordedModules(config, given(config, layout), items, what)
+    return Decoder(known.of, config.period_ms / 1000.0)
 
 
 def given(config: SourceConfig, layout: Layout) -> ListedModules:

@@ -14,8 +14,7 @@ import time
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source.bus_faults import BusFault
-from taxeld.source.device import LostError, Piece
-from taxeld.source.dialects import ToFrames
+from taxeld.source.device import LostError, Piece, frames_of
 from taxeld.source.lines import SerialLine, line_speed
 from taxeld.source.session import Chunk
 from taxeld_protocol import slcan
@@ -71,13 +70,12 @@ class SlcanDevice(SerialLine):
     """An SLCAN adapter. As source.kind can it is a bus, whose frames are recorded; as kind serial a
     line, whose bytes are recorded."""
 
-    def __init__(self, config: SourceConfig, to_frames: ToFrames) -> None:
+    def __init__(self, config: SourceConfig) -> None:
         """Raises SetupError where the line cannot be opened."""
         self._is_bus = config.kind == "can"
         line = adapter_line(config.channel) if self._is_bus else (config.channel, config.baud)
         super().__init__(*line)
         self._where = line[0]
-        self._to_frames = to_frames
         self._reader = slcan.SlcanReader()
         self._listen_only = config.listen_only
         quiet = (LISTEN, SILENT) if self._listen_only else (NORMAL,)
@@ -131,7 +129,7 @@ class SlcanDevice(SerialLine):
             self._send_rest()
 
     def pack(self, to: int, body: bytes) -> list[Frame] | list[bytes]:
-        frames = self._to_frames(to, body)
+        frames = frames_of(to, body)
         return frames if self._is_bus else [slcan.encode(frame) for frame in frames]
 
     def put(self, piece: Piece) -> None:

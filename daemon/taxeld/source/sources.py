@@ -16,23 +16,27 @@ from pathlib import Path
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.source import dialects, session
+from taxeld.source import module_order, session
 from taxeld.source.array_source import ArraySource
+from taxeld.source.bring_up import BringUp
 from taxeld.source.device import AwayError, Device, LostError, Noticed
 from taxeld.source.devices import open_device
-from taxeld.source.dialects import Dialect, ToFrames
+from taxeld.source.module_order import Listening
 from taxeld.source.outbox import PATIENCE_S, Outbox
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk, Items, Session, joined
 from taxeld.source.source import Source
 from taxeld.source.wire import Wire
-from taxeld_protocol.decoder import Scan
+from taxeld_protocol import cyskin
+from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Frame
+from taxeld_protocol.modules import NAMES, wired
 
 OnPose = Callable[[float, float, float, float], None]
 
 REOPEN_S = (0.2, 1.0)  # first and longest pause before a lost device is opened again
 CLOSE_S = 0.2  # time for the last requests to leave the device
+FRAME_BITS = 116  # a frame with 8 bytes and a short id, with the stuff bits of usual readings
 
 log = logging.getLogger(__name__)
 
@@ -56,11 +60,51 @@ def open_source(
         recorded = session.read(Path(config.path))
         if not recorded.items:
             raise SetupError(f"source.path: {config.path} was cut before its first frame")
-        wire = Wire(config, dialects.replayed(config, layout, recorded.items, config.path))
-        return ReplaySource(recorded, wire, on_pose)
+        decoder = module_order.recorded(config, layout, recorded.items, config.path)
+        return ReplaySource(recorded, Wire(config, decoder), on_pose)
     if config.kind == "array":
-        return ArraySource(config, dialects.of_array(config, layout), recorder)
-    return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
+        return ArraySource(config, layout, recorder)
+    return LiveSource(config, layout, open_device, recorder, wait=wait)
+
+
+def live(config: SourceConfig, layout: Layout) -> tuple[Decoder, BringUp | None]:
+    """The decoder of a live skin, and its bring-up; None where something else starts the skin.
+
+    Raises:
+        SetupError: the layout is no hub's, its scans are more than the bus carries, or none of the
+            listed modules is in it.
+    """
+    least_ms = least_period_ms(config, layout)
+    if config.period_ms < least_ms:
+        rate = 1000 * _frames(layout) / config.period_ms
+        raise SetupError(
+            f"source.period_ms: {len(wired(layout.uid.tolist()))} modules every {config.period_ms} "
+            f"ms are {rate:.0f} frames/s, and a bus of {config.bitrate} bit/s carries "
+            f"{config.bitrate // FRAME_BITS}: at least {least_ms} ms"
+        )
+    if any(int(uid) & 0xF >= NAMES for uid in layout.uid):
+        raise SetupError(
+            "skin.layout: its UIDs are of no module, which has taxels "
+            f"1..{NAMES - 1}: it is of an array (source.kind)"
+        )
+    period_s = config.period_ms / 1000.0
+    if config.listen_only:
+        return Decoder(module_order.given(config, layout).of, period_s), None
+    # a bring-up asks the hubs for their modules, so the decoder must not guess them
+    decoder = Decoder(period_s=period_s)
+    return decoder, BringUp(decoder, config.period_ms, {int(uid) >> 4 for uid in layout.uid})
+
+
+def least_period_ms(config: SourceConfig, layout: Layout) -> int:
+    """The shortest period at which a CAN bus carries the layout's scans; 0 without a bus."""
+    if config.kind == "serial" and config.framing == "native":
+        return 0
+    return math.ceil(1000 * _frames(layout) * FRAME_BITS / config.bitrate)
+
+
+def _frames(layout: Layout) -> int:
+    """The least frames of a scan."""
+    return cyskin.scan_frames(sum(module.channels for module in wired(layout.uid.tolist())))
 
 
 class LiveSource(Source):
@@ -69,17 +113,17 @@ class LiveSource(Source):
     def __init__(
         self,
         config: SourceConfig,
-        dialect: Dialect,
-        device: Callable[[SourceConfig, ToFrames], Device],
+        layout: Layout,
+        device: Callable[[SourceConfig], Device],
         recorder: Recorder | None,
         *,
         wait: bool = False,
     ) -> None:
-        super().__init__(Wire(config, dialect.decoder))
-        self._open: Callable[[], Device] = lambda: device(config, dialect.to_frames)
+        decoder, self._bring_up = live(config, layout)
+        super().__init__(Wire(config, decoder))
+        self._open: Callable[[], Device] = lambda: device(config)
         self._recorder = recorder
-        self._bring_up = dialect.bring_up
-        self._listening = dialect.listening
+        self._listening = Listening(decoder)
         self._outbox: Outbox | None = None
         self._held: Items = []  # items read from the device and not decoded yet
         self._failed: LostError | None = None  # loss of the device, after the held items
@@ -146,11 +190,10 @@ class LiveSource(Source):
             scans += ended
             if packet is not None and bring_up is not None:
                 bring_up.on_packet(packet)
-        lacks = ""
         if bring_up is not None:
             if not outbox:
                 self._sent_s = now_s
-            # until a request has left, no time passes for the bring-up, whose pauses follow it
+            # the bring-up's clock stops while requests wait to be sent
             waits = bool(outbox) and now_s < self._sent_s + PATIENCE_S
             self._behind_s = now_s - self._due_s if waits else self._behind_s
             self._due_s = now_s - self._behind_s
@@ -161,7 +204,7 @@ class LiveSource(Source):
             for line in bring_up.news():
                 log.info("%s", line)
             lacks, device.is_starting = bring_up.waits_for, bring_up.is_starting
-        if self._listening is not None:
+        else:
             self.fault, lacks = self._listening.fault(now_s), self._listening.refusal
         device.tend(now_s)
         self._follow(device, now_s)

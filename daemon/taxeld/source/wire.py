@@ -8,7 +8,7 @@ from taxeld.errors import SetupError
 from taxeld.source.session import Chunk
 from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.cyskin import Packet
-from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
+from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import SerialCounters, SerialReader
 from taxeld_protocol.slcan import SlcanReader
@@ -24,7 +24,7 @@ class Decoded(NamedTuple):
 class Wire:
     """Frames of a CAN bus, bytes of a serial line, or arrays, through the decoder."""
 
-    def __init__(self, config: SourceConfig, decoder: ScanDecoder | ArrayDecoder) -> None:
+    def __init__(self, config: SourceConfig, decoder: Decoder | ArrayDecoder) -> None:
         self.decoder = decoder
         self._slcan = SlcanReader() if config.framing == "slcan" else None
         self._native = SerialReader()
