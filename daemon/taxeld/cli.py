@@ -289,7 +289,7 @@ def _add_skin(commands: Commands) -> None:
     add("--idle-s", type=float, default=60.0, help=about)
 
     add = documented(commands, _layout).add_argument
-    add("layout", metavar="LAYOUT", help="cylinder:… or wrap:…, a .json, .csv or .txt file")
+    add("layout", metavar="LAYOUT", help="cylinder:… or wrap:…, or a .json or .csv file")
     add("--png", type=Path, metavar="OUT", help="draw it, unrolled and cut across")
 
 

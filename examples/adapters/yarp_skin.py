@@ -1,8 +1,9 @@
 """A YARP port of iCub's skin, compensated, as an array, by YARP's text protocol.
 
-    python yarp_skin.py 10.0.0.2 10042 left_forearm_V2.txt 9870
+    python yarp_skin.py 10.0.0.2 10042 left_forearm_V2.csv 9870
 
-`yarp name query /icub/skin/left_forearm_comp` tells host and port. The file is the layout's.
+`yarp name query /icub/skin/left_forearm_comp` tells host and port. The file is the layout's, as
+`icub_positions.py` makes it.
 """
 
 import json

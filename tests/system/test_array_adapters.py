@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import json
+import runpy
 import socket
 import subprocess
 import sys
@@ -129,11 +130,16 @@ def test_xelas_server_gives_the_z_of_all_sensors_in_their_order(ear: Ear) -> Non
     assert frame == ArrayFrame(1.5, "xela", 0, (102, 105, 108, 111, 202, 205, 208, 211))
 
 
-def test_a_port_of_yarp_gives_the_layouts_taxels_out_of_twelve_a_triangle(ear: Ear) -> None:
+def test_a_port_of_yarp_gives_the_layouts_taxels_out_of_twelve_a_triangle(
+    ear: Ear, tmp_path: Path
+) -> None:
     """By a stand-in that speaks the text protocol of YARP's own tutorial."""
     if not FOREARM.exists():
         pytest.skip("needs iCub's positions")
-    skin = layouts.read(str(FOREARM))
+    table = runpy.run_path(str(ROOT / "examples" / "icub_positions.py"))["table"]
+    layout = tmp_path / "forearm.csv"
+    layout.write_text(table(FOREARM.read_text(encoding="utf-8")), encoding="ascii")
+    skin = layouts.read(str(layout))
     size = 12 * (int(skin.uid.max() >> 4) + 1)
     values = [float(i % 250) for i in range(size)]
 
@@ -147,7 +153,7 @@ def test_a_port_of_yarp_gives_the_layouts_taxels_out_of_twelve_a_triangle(ear: E
 
     with socket.create_server(("127.0.0.1", 0)) as listening:
         threading.Thread(target=serve, daemon=True).start()
-        with running("yarp_skin", "127.0.0.1", listening.getsockname()[1], FOREARM, ear.port):
+        with running("yarp_skin", "127.0.0.1", listening.getsockname()[1], layout, ear.port):
             frame, unstamped = ear.frame(), ear.frame()
     expected = [values[12 * (uid >> 4) + (uid & 0xF)] / 255.0 for uid in skin.uid.tolist()]
     assert (frame.t, frame.id) == (1215723086.182938, "yarp")

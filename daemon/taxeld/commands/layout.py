@@ -21,10 +21,7 @@ def summary(layout: Layout) -> list[str]:
     facts = {
         "layout": layout.name,
         "taxels": f"{len(layout)} in {modules} modules",
-        "left out": (
-            f"{source.missing} missing{f' ({source.pads} thermal pads)' if source.pads else ''}, "
-            f"{source.cut} cut, {source.duplicates} duplicate"
-        ),
+        "left out": (f"{source.missing} missing, {source.cut} cut, {source.duplicates} duplicate"),
         "unit": {"m": "metres", "mm": "millimetres, read as 0.001 m"}[source.unit],
     }
     if math.isinf(layout.radius_m):
