@@ -169,13 +169,6 @@ class ArrayDecoder:
         counts = self._sorted(frame.counts)
         return None, [Scan(frame.t, 0, counts, self.table, 0, frame.rest)]
 
-    def drop_foreign(self) -> None:
-        """There is nothing but arrays here."""
-
-    def flush(self) -> list[Scan]:
-        """A frame is a scan: none is under way."""
-        return []
-
     def stats(self) -> dict[str, int | dict[str, int]]:
         """All counters; `frames` = `used` + the sum of `dropped`."""
         known = asdict(self.counters)

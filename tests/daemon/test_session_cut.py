@@ -27,7 +27,7 @@ from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld.stream import messages
-from taxeld_protocol import cyskin, serial_link, slcan
+from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.clocks import until
@@ -40,7 +40,6 @@ PERIOD_S = 0.05
 SOURCES = {
     "can": {"kind": "can", "channel": "can0"},
     "native": {"kind": "serial", "channel": "tty"},
-    "slcan": {"kind": "serial", "channel": "tty", "framing": "slcan"},
 }
 NAME = "003_cracker_box"
 SCANS = 32  # of them 20 make the baseline
@@ -71,8 +70,6 @@ def sent(transport: str) -> Iterator[Frame | Chunk]:
             frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + scan * PERIOD_S)
             if transport == "can":
                 yield from frames
-            elif transport == "slcan":
-                line += b"".join(map(slcan.encode, frames))
             else:
                 line += serial_link.encode(command, payload, ihb=1)
         for start in range(0, len(line), 97):

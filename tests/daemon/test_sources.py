@@ -142,7 +142,6 @@ def test_a_cold_hub_on_a_can_bus_is_led_out_of_its_bootloader_by_a_frame_of_29_b
     [
         (60, SourceConfig("can"), 22),  # 189 frames: six packets
         (60, SourceConfig("can", bitrate=500_000), 44),
-        (60, SourceConfig("serial", framing="slcan"), 22),
         (60, SourceConfig("serial"), 0),
         (10, SourceConfig("can"), 4),
         (1, SourceConfig("can"), 1),

@@ -94,8 +94,7 @@ class _Pass:
         self._interface = interface
         self._wire: Wire | None = None
         if path.suffix.lower() == logs.SERIAL_ENDING:
-            framing = logs.framing(path)
-            self._wire = Wire(SourceConfig(kind="serial", framing=framing), decoder)
+            self._wire = Wire(decoder)
 
     def heard(self) -> Iterator[Decoded]:
         """Packets and scans from the decoder.
@@ -110,6 +109,8 @@ class _Pass:
             raise SetupError(f"--interface: {self._path} is of a serial line; leave this out")
         for chunk in logs.chunks(self._path, self.damage):
             yield from self._wire.data(chunk.data, chunk.t)
+        if not self._wire.packets:
+            raise SetupError(f"{self._path}: has no packet of a hub's serial link")
 
     def stats(self) -> dict[str, object]:
         """Counters of the decoder and of a serial line, and the amount of damage."""

@@ -181,7 +181,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
         if recorded.items:  # else the session was cut before its first record
             firsts.append(recorded.items[0].t)
             decoder = module_order.recorded(source, joint(own), recorded.items, str(place))
-            bus = Bus(Source(Wire(source, decoder)), numbers, own)
+            bus = Bus(Source(Wire(decoder)), numbers, own)
             streams.append(_ordered(recorded.items, bus))
     if not firsts:
         return

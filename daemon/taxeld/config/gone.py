@@ -13,6 +13,7 @@ GONE: dict[str, str] = {
     "source.shift_bits": ICUB,
     "source.offset_counts": ICUB,
     "source.no_load_counts": ICUB,
+    "source.framing": 'an SLCAN adapter is kind = "can", interface = "slcan"',
     "--dialect": ICUB,
 }
 

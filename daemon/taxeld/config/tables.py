@@ -87,11 +87,8 @@ class SkinConfig:
 class SourceConfig:
     kind: str = key(check=one_of(*KINDS), doc=", ".join(KINDS))
     interface: str = key("socketcan", doc="kind can: socketcan, slcan, or any of python-can's")
-    channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
+    channel: str = key("", doc="kind can: can0, or an adapter's device; kind serial: the device")
     bitrate: int = key(1_000_000, one_of(*BITRATES), "bit/s of the CAN bus")
-    framing: str = key(
-        "native", one_of("native", "slcan"), "kind serial: packets in COBS, or SLCAN lines"
-    )
     baud: int = key(921_600, between(1200, 12_000_000), "kind serial: line speed, bit/s")
     endpoint: str = key(
         "", doc="kind array: ZeroMQ's of its sender, or udp://127.0.0.1:port to listen at"

@@ -30,7 +30,7 @@ class ArraySource(Source):
 
     def __init__(self, config: SourceConfig, layout: Layout, recorder: Recorder | None) -> None:
         self._decoder = ArrayDecoder(layout.uid.tolist(), config.array)
-        super().__init__(Wire(config, self._decoder))
+        super().__init__(Wire(self._decoder))
         self._endpoint = config.endpoint
         self._recorder = recorder
         self._held: deque[ArrayFrame] = deque(maxlen=HELD_MAX)

@@ -19,21 +19,22 @@ def open_device(config: SourceConfig) -> Device:
         AwayError: it is missing or busy.
         SetupError: it can never be opened with this configuration.
     """
-    if config.kind == "can" and config.interface == "socketcan":
+    if config.kind == "serial":
+        return SerialDevice(config)
+    if config.interface == "slcan":
+        return SlcanDevice(config)
+    if config.interface == "socketcan":
         if "/" in config.channel or len(config.channel) > NAME_MAX:
             raise SetupError(
                 f"source.channel: {config.channel} is no name of a CAN interface, as can0 is; for "
                 'an SLCAN adapter set source.interface = "slcan"'
             )
         return SocketCanDevice(config)
-    if config.kind == "can" and config.interface != "slcan":
-        # python-can takes a tenth of the start's time and memory, so it is imported only if needed
-        from taxeld.source.can_device import INTERFACES, CanDevice  # noqa: PLC0415
+    # python-can takes a tenth of the start's time and memory, so it is imported only if needed
+    from taxeld.source.can_device import INTERFACES, CanDevice  # noqa: PLC0415
 
-        if config.interface not in INTERFACES:
-            near = difflib.get_close_matches(config.interface.lower(), INTERFACES, 1)
-            hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(INTERFACES)}"
-            raise SetupError(f"source.interface: python-can knows no '{config.interface}'; {hint}")
-        return CanDevice(config)
-    native = config.kind == "serial" and config.framing == "native"
-    return (SerialDevice if native else SlcanDevice)(config)
+    if config.interface not in INTERFACES:
+        near = difflib.get_close_matches(config.interface.lower(), INTERFACES, 1)
+        hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(INTERFACES)}"
+        raise SetupError(f"source.interface: python-can knows no '{config.interface}'; {hint}")
+    return CanDevice(config)

@@ -48,14 +48,14 @@ class ListedModules:
 class RecordedModules:
     """The modules found in a recording, or listed by `source.modules`."""
 
-    def __init__(self, config: SourceConfig, given: ListedModules, items: Items, what: str) -> None:
+    def __init__(self, given: ListedModules, items: Items, what: str) -> None:
         """`what`: name of the recording in messages.
 
         Raises:
             SetupError: the modules of the first scan are unknown.
         """
-        self._config, self._given, self._items, self._what = config, given, items, what
-        wire = Wire(config, Decoder(self.of))
+        self._given, self._items, self._what = given, items, what
+        wire = Wire(Decoder(self.of))
         any(heard.scans for item in items for heard in wire.take([item]))  # up to the first scan
 
     def of(self, ihb: int) -> list[Module]:
@@ -74,7 +74,7 @@ class RecordedModules:
     @cached_property
     def _declared(self) -> dict[int, list[Module]]:
         decoder = Decoder()
-        Wire(self._config, decoder).take(self._items)
+        Wire(decoder).take(self._items)
         return _placed(decoder)
 
 
@@ -89,7 +89,7 @@ def recorded(
     """
     if items and isinstance(items[0], ArrayFrame):
         return ArrayDecoder(layout.uid.tolist(), config.array)
-    known = RecordedModules(config, given(config, layout), items, what)
+    known = RecordedModules(given(config, layout), items, what)
     return Decoder(known.of, config.period_ms / 1000.0)
 
 

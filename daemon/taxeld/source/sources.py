@@ -61,7 +61,7 @@ def open_source(
         if not recorded.items:
             raise SetupError(f"source.path: {config.path} was cut before its first frame")
         decoder = module_order.recorded(config, layout, recorded.items, config.path)
-        return ReplaySource(recorded, Wire(config, decoder), on_pose)
+        return ReplaySource(recorded, Wire(decoder), on_pose)
     if config.kind == "array":
         return ArraySource(config, layout, recorder)
     return LiveSource(config, layout, open_device, recorder, wait=wait)
@@ -97,7 +97,7 @@ def live(config: SourceConfig, layout: Layout) -> tuple[Decoder, BringUp | None]
 
 def least_period_ms(config: SourceConfig, layout: Layout) -> int:
     """The shortest period at which a CAN bus carries the layout's scans; 0 without a bus."""
-    if config.kind == "serial" and config.framing == "native":
+    if config.kind == "serial":
         return 0
     return math.ceil(1000 * _frames(layout) * FRAME_BITS / config.bitrate)
 
@@ -119,11 +119,11 @@ class LiveSource(Source):
         *,
         wait: bool = False,
     ) -> None:
-        decoder, self._bring_up = live(config, layout)
-        super().__init__(Wire(config, decoder))
+        self._decoder, self._bring_up = live(config, layout)
+        super().__init__(Wire(self._decoder))
         self._open: Callable[[], Device] = lambda: device(config)
         self._recorder = recorder
-        self._listening = Listening(decoder)
+        self._listening = Listening(self._decoder)
         self._outbox: Outbox | None = None
         self._held: Items = []  # items read from the device and not decoded yet
         self._failed: LostError | None = None  # loss of the device, after the held items
@@ -233,7 +233,7 @@ class LiveSource(Source):
         noticed, device.noticed = device.noticed, Noticed()
         self.bus.take(noticed.bus, now_s)
         for _ in range(noticed.foreign):
-            self.wire.decoder.drop_foreign()
+            self._decoder.drop_foreign()
         for line in noticed.lines:
             log.warning("%s", line)
 
