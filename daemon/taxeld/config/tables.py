@@ -90,9 +90,7 @@ class SourceConfig:
     channel: str = key("", doc="kind can: can0, or an adapter's device; kind serial: the device")
     bitrate: int = key(1_000_000, one_of(*BITRATES), "bit/s of the CAN bus")
     baud: int = key(921_600, between(1200, 12_000_000), "kind serial: line speed, bit/s")
-    endpoint: str = key(
-        "", doc="kind array: ZeroMQ's of its sender, or udp://127.0.0.1:port to listen at"
-    )
+    endpoint: str = key("", doc="kind array: PUB endpoint of its sender")
     array: str = key("", doc="kind array: the id that is heard; empty: the first that comes")
     path: str = key("", doc="kind replay: a session directory")
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")

@@ -16,7 +16,7 @@ import zmq
 from taxeld.config import endpoints
 from taxeld.door import control, sandbox
 from taxeld.door.admission import Admission
-from taxeld.door.arrays import Datagrams, Published, open_arrays
+from taxeld.door.arrays import Published
 from taxeld.door.control import Control, MayChange, packed_error, packed_ok
 from taxeld.door.robot import Robot
 from taxeld.door.settings import Settings
@@ -65,7 +65,7 @@ class Door:
         self._publishers: dict[tuple[str, bool], Streams] = {}  # by key, and whether keys are taken
         self._controls: list[Control] = []
         self._robot: Robot | None = None
-        self._array: Published | Datagrams | None = None
+        self._array: Published | None = None
         self._admission: Admission | None = None
         self._estimates = settings.estimates
         # all that is read of files comes before the process is confined
@@ -96,7 +96,7 @@ class Door:
         changed = self._end.fileno() in ready and self._take_from_loop(now_s)
         if self._robot is not None and self._robot.socket in ready:
             changed |= self._take_poses(self._robot, now_s)
-        if self._array is not None and self._array.waits_on in ready:
+        if self._array is not None and self._array.socket in ready:
             if self._robot is not None:  # a scan is placed by the poses before it
                 changed |= self._take_poses(self._robot, now_s)
             self._array.poll(now_s)
@@ -249,7 +249,7 @@ class Door:
             )
             self._report.robot = self._robot.line
         if settings.array:
-            self._array = open_arrays(context, settings.array, self._on_array)
+            self._array = Published(context, settings.array, self._on_array)
             self._report.array = self._array.line
 
     def _guard_of(self, endpoint: str) -> Admission | None:
@@ -289,7 +289,7 @@ class Door:
             if owner is not None:
                 self._poller.register(owner.socket, zmq.POLLIN)
         if self._array is not None:
-            self._poller.register(self._array.waits_on, zmq.POLLIN)
+            self._poller.register(self._array.socket, zmq.POLLIN)
 
     def _close_all(self) -> None:
         heard = self._robot, self._array
