@@ -127,8 +127,8 @@ def _decode(args: argparse.Namespace) -> int:
     from taxeld.commands.decode import decode, of_session
     from taxeld.source.module_order import ListedModules
 
-    source = load(args.config).source if args.config else of_session(args.log)
-    listed = ListedModules(source.modules) if args.config or source.modules else None
+    modules = load(args.config).source.modules if args.config else of_session(args.log)
+    listed = ListedModules(modules) if args.config or modules else None
     for line in decode(args.log, listed, args.interface):
         print(line)
     return 0

@@ -18,7 +18,7 @@ from taxeld.estimator.estimate import Status
 from taxeld.skin.skin import Skin
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import ReplaySource, open_source
+from taxeld.source.sources import open_source
 from taxeld_hil import cli as hil
 from taxeld_protocol.array import FULL, REST, ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Scan
@@ -111,15 +111,6 @@ def test_a_damaged_line_of_a_recording_is_named(tmp_path: Path) -> None:
     (place / session.ARRAY).write_text(lines[0] + "[]\n" + lines[2], encoding="ascii")
     with pytest.raises(SetupError, match=r"array\.jsonl: line 2 is no array \(it is no map"):
         session.read(place)
-
-
-def test_a_daemon_replays_a_recorded_array(tmp_path: Path) -> None:
-    place = written(tmp_path / "session", frames(3))
-    config = parse(configuration(place).read_text(encoding="utf-8"))
-    source = open_source(config.source, SKIN)
-    assert isinstance(source, ReplaySource)
-    assert len([*source.poll(0.0), *source.poll(1.0)]) == 3
-    assert source.finished
 
 
 def scans(items: list[ArrayFrame], uids: Sequence[int] = UIDS) -> list[Scan]:

@@ -21,7 +21,7 @@ from taxeld.source.session import Chunk
 from taxeld.source.sources import LiveSource, Source, least_period_ms, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
-from taxeld_protocol.frames import Frame, format_log_line
+from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import Answer, HubLink, Phase, VirtualIhb
 from tests.rig.clocks import until
@@ -190,18 +190,6 @@ def test_a_clock_that_is_set_back_while_a_bus_is_read_makes_nobody_wait(
     assert source.poll(0.0) == []
     source.close()
     assert waits == [0.0]
-
-
-def test_a_session_is_replayed_at_its_own_pace(tmp_path: Path) -> None:
-    hub = VirtualIhb(MODULES)
-    lines = []
-    for k in range(3):
-        for command, payload in hub.sensor_data(counts(k)):
-            frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + k)
-            lines += [format_log_line(frame) for frame in frames]
-    (tmp_path / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
-    source = open_source(SourceConfig(kind="replay", path=str(tmp_path), modules=LISTED), SKIN)
-    assert [len(source.poll(now)) for now in (50.0, 50.5, 51.0, 51.9, 52.1)] == [1, 0, 1, 0, 1]
 
 
 @pytest.mark.parametrize(("behind_s", "kept"), [(0.02, True), (7200.0, True), (1e8, False)])

@@ -4,6 +4,7 @@ Nothing is sent to a device, and no request of a peer is answered.
 """
 
 import contextlib
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,7 +17,6 @@ from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle, choice, several
 from taxeld.proposals.manifest import FilterEntry
 from taxeld.service import calibration_file
-from taxeld.source import module_order, session
 from taxeld.source.buses import check_uids, joint
 from taxeld.source.device import BusyError
 from taxeld.source.devices import open_device
@@ -64,11 +64,12 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
         for bus, numbers in links.buses(config):
             own = [skins[k] for k in numbers]
             attempt(check_uids, [config.names[k] for k in numbers], own)
-            attempt(_read_source, bus, joint(own))
+            if bus.kind != "array":
+                attempt(live, bus, joint(own))
         if config.scene.names:
             attempt(_open_bundle, config, skins)
         for one, skin in zip(config.each, skins, strict=True):
-            attempt(calibration_file.of, one, skin)
+            attempt(calibration_file.load, one.skin, skin, time.time())
 
     attempt(use_layouts)
     for bus, _ in links.buses(config):
@@ -89,8 +90,6 @@ def notes(config: Config) -> list[str]:
     """Lines on matters that no check can decide."""
     source = config.source
     found = _sizes(config) if config.scene.names else [ALONE]
-    if source.kind == "replay":
-        return found
     found += [line] if (line := _down(source)) else []
     if not config.sensor_pose.endpoint:
         found += [STILL] * config.advice.enabled
@@ -108,14 +107,6 @@ def _sizes(config: Config) -> list[str]:
     now = several.sized(config, found).filter
     size = f"{now.particles}..{now.particles_max} particles, {now.injected} samples"
     return [f"filter: {size}, as {whose}"]
-
-
-def _read_source(source: SourceConfig, skin: Layout) -> None:
-    if source.kind == "replay":
-        recorded = session.read(Path(source.path)).items
-        module_order.recorded(source, skin, recorded, source.path)
-    elif source.kind != "array":
-        live(source, skin)
 
 
 def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:

@@ -3,7 +3,6 @@
 import json
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -24,26 +23,25 @@ KNOWN = (
 )
 HUBS_NAMED = 8  # in a line
 
+Listed = tuple[tuple[int, ...], ...]  # as `source.modules`
+
 log = logging.getLogger(__name__)
 
 
-def of_session(path: Path) -> SourceConfig:
-    """The modules that stand beside a log in its session; the defaults for another
-    log. Modules that were declared to the recorder (`modules.toml`) go before listed ones.
+def of_session(path: Path) -> Listed:
+    """The modules that stand beside a log in its session; none for another log. Modules that were
+    declared to the recorder (`modules.toml`) go before listed ones.
 
     Raises:
         ConfigError: a file of the session has faults.
     """
-    source = SourceConfig(kind="replay")
-    if path.name not in (session.FRAMES, session.SERIAL):
-        return source
-    if (config := path.with_name(session.CONFIG)).exists():
-        source = config_file.load(config).source
-    if (file := path.with_name(module_order.FILE)).exists():
-        text = f'kind = "replay"\n{config_file.text_of(file)}'
-        heard = toml_tables.parse(SourceConfig, text, str(file))
-        source = replace(source, modules=heard.modules)
-    return source
+    if path.name in (session.FRAMES, session.SERIAL):
+        if (file := path.with_name(module_order.FILE)).exists():
+            text = f'kind = "can"\n{config_file.text_of(file)}'
+            return toml_tables.parse(SourceConfig, text, str(file)).modules
+        if (config := path.with_name(session.CONFIG)).exists():
+            return config_file.load(config).source.modules
+    return ()
 
 
 def decode(path: Path, given: ListedModules | None = None, interface: str = "") -> Iterator[str]:

@@ -109,8 +109,6 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
         fault = endpoints.array_fault(source.endpoint)
         if fault:
             faults.append(f"source.endpoint: {fault}")
-    if source.kind == "replay" and not source.path:
-        faults.append("source.path: is required for kind 'replay'")
 
 
 def _check_scene(config: Config, faults: list[str]) -> None:

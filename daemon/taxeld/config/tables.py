@@ -14,7 +14,7 @@ from taxeld_protocol.slcan import BITRATES
 
 SIZES = ("particles", "particles_max", "injected")  # keys of the filter's size
 OBJECTS_MAX = 16  # objects that one skin may touch
-KINDS = ("can", "serial", "array", "replay")  # of sources
+KINDS = ("can", "serial", "array")  # of sources
 LEVELS = ("debug", "info", "warning", "error")  # levels of the log
 
 
@@ -92,7 +92,6 @@ class SourceConfig:
     baud: int = key(921_600, between(1200, 12_000_000), "kind serial: line speed, bit/s")
     endpoint: str = key("", doc="kind array: PUB endpoint of its sender")
     array: str = key("", doc="kind array: the id that is heard; empty: the first that comes")
-    path: str = key("", doc="kind replay: a session directory")
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")
     listen_only: bool = key(False, doc="never send: for a skin that something else started")
     modules: tuple[tuple[int, ...], ...] = key(
@@ -101,8 +100,8 @@ class SourceConfig:
 
     @property
     def where(self) -> str:
-        """A session, an endpoint or a device: where frames of this kind come from."""
-        return {"replay": self.path, "array": self.endpoint}.get(self.kind, self.channel)
+        """An endpoint or a device: where frames of this kind come from."""
+        return self.endpoint if self.kind == "array" else self.channel
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,10 +82,8 @@ def _array(values: Any, name: str, size: int) -> Floats:
 
 
 def directory(config: Config, link: str = "") -> Path | None:
-    """Where the state is kept; None: nowhere. A replayed session leaves no trace. `link`: name of
-    a further link, whose state is in a folder of this name."""
-    if config.source.kind == "replay":
-        return None
+    """Where the state is kept; None: nowhere. `link`: name of a further link, whose state is in a
+    folder of this name."""
     name = config.skin.state_dir or os.environ.get("STATE_DIRECTORY", "").split(":")[0]
     return Path(name) / link if name else None
 

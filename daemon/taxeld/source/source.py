@@ -27,7 +27,6 @@ class Source:
     device: Device | None = None  # the open device; the loop waits on its descriptor
     comes_by_door = False  # whether the door hears it, and hands its frames to `hear`
     is_busy = True  # whether it must be polled at every tick, as no descriptor would wake the loop
-    finished = False  # whether nothing more will ever come
     waits_for = ""  # a line on why no scans come; empty where nothing is amiss
     fault = ""  # a line on why no scan can ever be used; empty where nothing is amiss
     firmware: Mapping[str, str] = MappingProxyType({})  # short id of a hub → its versions, in words
@@ -52,9 +51,6 @@ class Source:
     def heed(self, *, connected: bool, malformed: int, reason: str) -> None:
         """The door's report on an array: whether somebody is there, the number of messages that
         were none, and why the last was none."""
-
-    def clock_stepped(self, by: float) -> None:
-        """The Unix clock was set forward by `by` seconds."""
 
     def close(self) -> None:
         """Stop the skin and close the device, if there is one."""

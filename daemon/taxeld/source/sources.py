@@ -1,4 +1,4 @@
-"""Sources of scans: a CAN interface, a serial line, an array, or a recorded session.
+"""Sources of scans: a CAN interface, a serial line, or an array.
 
 A source is polled at every pass of the loop and never blocks. A device that is gone, or not there
 yet, is opened again with growing pauses, and the skin on it is brought up anew; damaged input is
@@ -9,14 +9,12 @@ import contextlib
 import logging
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.source import module_order, session
+from taxeld.source import module_order
 from taxeld.source.array_source import ArraySource
 from taxeld.source.bring_up import BringUp
 from taxeld.source.device import AwayError, Device, LostError, Noticed
@@ -24,15 +22,13 @@ from taxeld.source.devices import open_device
 from taxeld.source.module_order import Listening
 from taxeld.source.outbox import PATIENCE_S, Outbox
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk, Items, Session, joined
+from taxeld.source.session import Chunk, Items, joined
 from taxeld.source.source import Source
 from taxeld.source.wire import Wire
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import NAMES, wired
-
-OnPose = Callable[[float, float, float, float], None]
 
 REOPEN_S = (0.2, 1.0)  # first and longest pause before a lost device is opened again
 CLOSE_S = 0.2  # time for the last requests to leave the device
@@ -45,23 +41,15 @@ def open_source(
     config: SourceConfig,
     layout: Layout,
     recorder: Recorder | None = None,
-    on_pose: OnPose | None = None,
     *,
     wait: bool = False,
 ) -> Source:
-    """The configured source. `recorder` gets all frames or bytes of the wire, `on_pose` the sensor
-    poses (t, x, y, θ) of a recorded session. With `wait`, a missing or busy device is opened as
-    soon as possible, instead of raising.
+    """The configured source. `recorder` gets all frames or bytes of the wire. With `wait`, a
+    missing or busy device is opened as soon as possible, instead of raising.
 
     Raises:
-        SetupError: the device or session cannot be opened.
+        SetupError: the device cannot be opened.
     """
-    if config.kind == "replay":
-        recorded = session.read(Path(config.path))
-        if not recorded.items:
-            raise SetupError(f"source.path: {config.path} was cut before its first frame")
-        decoder = module_order.recorded(config, layout, recorded.items, config.path)
-        return ReplaySource(recorded, Wire(decoder), on_pose)
     if config.kind == "array":
         return ArraySource(config, layout, recorder)
     return LiveSource(config, layout, open_device, recorder, wait=wait)
@@ -294,41 +282,3 @@ class LiveSource(Source):
             log.warning("%s", line)
         elif before and not line:
             log.info("no longer: %s", before)
-
-
-class ReplaySource(Source):
-    """A recorded session at its own pace, which ticks give, its times moved to now."""
-
-    def __init__(self, recorded: Session, wire: Wire, on_pose: OnPose | None) -> None:
-        super().__init__(wire)
-        self._shift_s: float | None = None  # Unix time less recorded time, from the first poll
-        self._items = recorded.items
-        self._at = 0
-        self._poses = deque(recorded.poses if on_pose else [])
-        self._on_pose = on_pose
-        self._start_s = 0.0
-
-    @property
-    def finished(self) -> bool:  # type: ignore[override]
-        return self._at >= len(self._items)
-
-    def poll(self, now_s: float) -> list[Scan]:
-        first_t = self._items[0].t
-        if self._shift_s is None:
-            self._shift_s = time.time() - first_t
-            self._start_s = now_s
-        until = first_t + now_s - self._start_s
-        while self._on_pose and self._poses and self._poses[0][0] <= until:
-            t, x, y, theta = self._poses.popleft()
-            self._on_pose(t + self._shift_s, x, y, theta)
-        scans: list[Scan] = []
-        while not self.finished and self._items[self._at].t <= until:
-            item = self._items[self._at]
-            for heard in self.wire.take([item._replace(t=item.t + self._shift_s)]):
-                scans += heard.scans
-            self._at += 1
-        return scans
-
-    def clock_stepped(self, by: float) -> None:
-        if self._shift_s is not None:
-            self._shift_s += by
