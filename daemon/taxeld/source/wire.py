@@ -26,7 +26,7 @@ class Wire:
         self._native = SerialReader()
 
     def take(self, items: Sequence[Frame | Chunk | ArrayFrame]) -> list[Decoded]:
-        """Take frames or chunks with their own stamps; frames that end nothing are left out."""
+        """Take frames or chunks with their own stamps; → the packets that they complete."""
         heard: list[Decoded] = []
         feed: Callable[[Any], tuple[Packet | None, list[Scan]]] = self.decoder.feed
         for item in items:
@@ -39,8 +39,8 @@ class Wire:
         return heard
 
     def data(self, data: bytes, t: float) -> list[Decoded]:
-        """Take bytes of a serial line, in pieces of any size, that were read at time `t`; frames
-        that end nothing are left out."""
+        """Take bytes of a serial line, in pieces of any size, that were read at time `t`; → the
+        packets that they complete."""
         assert isinstance(self.decoder, Decoder)  # noqa: S101  (an array comes by no line)
         packets = self._native.feed(data, t)
         return [Decoded(packet, self.decoder.on_packet(packet)) for packet in packets]
