@@ -7,7 +7,6 @@ also given in loops of yardstick.py, a column that can be compared between machi
 import argparse
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -105,38 +104,13 @@ def touches() -> list[Row]:
 
 
 def demo() -> list[Row]:
-    """The demo in real time, and the peak memory of a daemon that replays its session."""
+    """The demo in real time."""
     with tempfile.TemporaryDirectory() as place:
         start = time.monotonic()
         command = [sys.executable, "-m", "taxeld_hil.cli", "run", "demo", "--out", place]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         took = time.monotonic() - start
-        peak_mb = replayed_peak_mb(Path(place))
-    return [
-        ("the demo: wall seconds", took, 60.0),
-        ("the loop's peak resident memory, MB", peak_mb, 150.0),
-    ]
-
-
-def replayed_peak_mb(directory: Path) -> float:
-    """Peak memory of `taxeld run` on the session, through its whole loop."""
-    text = (directory / "config.toml").read_text(encoding="utf-8")
-    head, rest = text.split("[source]")
-    _, scene = rest.split("[scene]")
-    scene = scene.split("[sensor_pose]")[0]
-    settings = directory / "replayed.toml"
-    settings.write_text(
-        f'{head}[source]\nkind = "replay"\npath = "{directory}"\n[scene]{scene}'
-        f'[publish]\nendpoints = ["ipc://{directory}/stream"]\n[control]\nendpoint = ""\n',
-        encoding="utf-8",
-    )
-    daemon = subprocess.Popen([sys.executable, "-m", "taxeld.cli", "run", str(settings)])
-    status, peak = Path(f"/proc/{daemon.pid}/status"), 0.0
-    while daemon.poll() is None:  # its own account would begin with the memory of this process
-        found = re.search(r"VmHWM:\s+(\d+)", status.read_text(encoding="ascii"))
-        peak = max(peak, float(found[1]) / 1024.0) if found else peak
-        time.sleep(0.1)
-    return peak
+    return [("the demo: wall seconds", took, 60.0)]
 
 
 if __name__ == "__main__":

@@ -219,7 +219,7 @@ def _daemon(case: Case, place: Path) -> Iterator[tuple[int, socket.socket]]:
     known = f'[scene]\nbundle = "{case.bundle}"\n[filter]\nparticles_max = 100\n'
     settings.write_text(
         f'[skin]\nlayout = "{case.layout}"\nfull_scale_counts = {FULL_SCALE}\n'
-        f'[source]\nkind = "serial"\nframing = "slcan"\nchannel = "{place}/skin"\n'
+        f'[source]\nkind = "can"\ninterface = "slcan"\nchannel = "{place}/skin"\n'
         f'{"" if case.alone else known}[sensor_pose]\nendpoint = "ipc://{place}/poses"\n'
         f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
         f'[control]\nendpoint = "ipc://{place}/control"\n',

@@ -17,7 +17,6 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.view import cli as view_cli
 
-DIALECTS = ("cyskin", "icub")
 DONE = {
     "tare": "the idle baseline is being learned again; leave the skin untouched until it is",
     "prior": "the prior is taken; touches may refute it",
@@ -122,9 +121,9 @@ def _decode(args: argparse.Namespace) -> int:
     from taxeld.commands.decode import decode, of_session
     from taxeld.source.module_order import ListedModules
 
-    source = load(args.config).source if args.config else of_session(args.log)
-    listed = ListedModules(source.modules) if args.config or source.modules else None
-    for line in decode(args.log, listed, args.dialect or source.dialect, args.interface):
+    modules = load(args.config).source.modules if args.config else of_session(args.log)
+    listed = ListedModules(modules) if args.config or modules else None
+    for line in decode(args.log, listed, args.interface):
         print(line)
     return 0
 
@@ -263,7 +262,6 @@ def _add_daemon(commands: Commands) -> None:
     add("--poses", metavar="ENDPOINT", help=about)
     about = "the square, about X Y, where the object can be [m] (default 0 0 0.5)"
     add("--where", nargs=3, metavar=("X", "Y", "HALF"), help=about)
-    add("--dialect", choices=DIALECTS, default=DIALECTS[0])
     add("--keys", default="", metavar="DIR", help="keys, where the robot is another machine")
 
     add = documented(commands, _run).add_argument
@@ -291,8 +289,7 @@ def _add_sessions(commands: Commands) -> None:
     add = documented(commands, _decode).add_argument
     about = "a log of candump or of python-can, or a serial.bin"
     add("log", type=Path, metavar="LOG", help=about)
-    add("--dialect", choices=DIALECTS, help="in place of source.dialect")
-    about = "with source.dialect and source.modules; a session's log has its own"
+    about = "with source.modules; a session's log has its own"
     add("--config", type=Path, help=about)
     about = "the skin's CAN interface, where the log holds several"
     add("--interface", default="", help=about)
@@ -314,7 +311,7 @@ def _add_skin(commands: Commands) -> None:
     add("--idle-s", type=float, default=60.0, help=about)
 
     add = documented(commands, _layout).add_argument
-    add("layout", metavar="LAYOUT", help="cylinder:… or wrap:…, a .json, .csv or .txt file")
+    add("layout", metavar="LAYOUT", help="cylinder:… or wrap:…, or a .json or .csv file")
     add("--png", type=Path, metavar="OUT", help="draw it, unrolled and cut across")
 
 

@@ -4,23 +4,22 @@ Readings are depths in metres, one for each vertex of the sensor's mesh; `layout
 """
 
 import json
-import socket
 import time
 
 import mujoco
+import zmq
 
 FULL_M = 0.005  # depth of an activation of 1: skin.full_scale_depth_m
 FULL_Z = 2.0  # deeper ones are cut off
 
 
-def send(
-    data: mujoco.MjData, sensor: str, port: int, to: socket.socket, t: float | None = None
-) -> None:
-    """`t`: Unix time of the step; a simulation in real time leaves it out."""
+def send(data: mujoco.MjData, sensor: str, to: "zmq.Socket[bytes]", t: float | None = None) -> None:
+    """`to`: a PUB socket, bound where the daemon listens (`source.endpoint`); `t`: Unix time of the
+    step, which a simulation in real time leaves out."""
     depth_m = data.sensor(sensor).data
     z = [min(float(v) / FULL_M, FULL_Z) for v in depth_m[: len(depth_m) // 3]]  # the rest is slip
     message = {"t": time.time() if t is None else t, "id": sensor, "z": z}
-    to.sendto(json.dumps(message).encode(), ("127.0.0.1", port))
+    to.send(json.dumps(message).encode())
 
 
 def layout(model: mujoco.MjModel, mesh: str) -> str:

@@ -1,13 +1,13 @@
 """A ROS 2 topic of std_msgs/Float32MultiArray as an array of counts, by DDS without ROS.
 
-python ros2_array.py cyskin/timeseries_data 9870
+python ros2_array.py cyskin/timeseries_data tcp://127.0.0.1:9870
 """
 
 import json
-import socket
 import sys
 import time
 
+import zmq
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import make_idl_struct
@@ -26,14 +26,15 @@ Values = make_idl_struct("Float32MultiArray_", f"{ROS}Float32MultiArray_", VALUE
 CDR = Qos(Policy.DataRepresentation(use_cdrv0_representation=True), Policy.History.KeepLast(10))
 
 
-def main(name: str, port: int) -> None:
+def main(name: str, endpoint: str) -> None:
     at = DomainParticipant(int(sys.argv[3]) if len(sys.argv) > 3 else 0)
     reader = DataReader(at, Topic(at, f"rt/{name}", Values), qos=CDR)
-    with socket.socket(type=socket.SOCK_DGRAM) as to:
+    with zmq.Context() as context, context.socket(zmq.PUB) as to:
+        to.bind(endpoint)
         for values in reader.take_iter(timeout=duration(infinite=True)):
             message = {"t": time.time(), "id": name, "counts": list(values.data)}
-            to.sendto(json.dumps(message).encode(), ("127.0.0.1", port))
+            to.send(json.dumps(message).encode())
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    main(sys.argv[1], sys.argv[2])

@@ -1,12 +1,12 @@
 """XELA's server as an array: the z counts of all its sensors, in their order.
 
-python xela.py ws://127.0.0.1:5000 9870
+python xela.py ws://127.0.0.1:5000 tcp://127.0.0.1:9870
 """
 
 import json
-import socket
 import sys
 
+import zmq
 from websockets.sync.client import connect
 
 
@@ -20,13 +20,14 @@ def counts(message: dict) -> dict | None:  # type: ignore[type-arg]
     return {"t": float(sensors[0]["time"]), "id": "xela", "counts": values}
 
 
-def main(server: str, port: int) -> None:
-    with connect(server) as source, socket.socket(type=socket.SOCK_DGRAM) as to:
+def main(server: str, endpoint: str) -> None:
+    with connect(server) as source, zmq.Context() as context, context.socket(zmq.PUB) as to:
+        to.bind(endpoint)
         for text in source:
             array = counts(json.loads(text))
             if array is not None:
-                to.sendto(json.dumps(array).encode(), ("127.0.0.1", port))
+                to.send(json.dumps(array).encode())
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    main(sys.argv[1], sys.argv[2])

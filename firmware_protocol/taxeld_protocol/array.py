@@ -135,7 +135,7 @@ class ArrayCounters:
 
 
 class ArrayDecoder:
-    """Frames of one array → scans; a `ScanDecoder`."""
+    """Frames of one array → scans."""
 
     def __init__(self, uids: Sequence[int], name: str = "") -> None:
         """`uids`: of the layout, in its order; `name`: the array's id, empty for the first that
@@ -168,13 +168,6 @@ class ArrayDecoder:
         self.counters.incomplete += 0 in frame.counts
         counts = self._sorted(frame.counts)
         return None, [Scan(frame.t, 0, counts, self.table, 0, frame.rest)]
-
-    def drop_foreign(self) -> None:
-        """There is nothing but arrays here."""
-
-    def flush(self) -> list[Scan]:
-        """A frame is a scan: none is under way."""
-        return []
 
     def stats(self) -> dict[str, int | dict[str, int]]:
         """All counters; `frames` = `used` + the sum of `dropped`."""

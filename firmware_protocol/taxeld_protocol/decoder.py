@@ -4,7 +4,6 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import accumulate
-from typing import Protocol
 
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command, Packet, Reassembler
@@ -43,18 +42,6 @@ class Scan:
             out.append([None if value == MISSING else value for value in part])
             at += module.channels
         return out
-
-
-class ScanDecoder(Protocol):
-    """Frames in, scans out: what the decoders of all dialects do."""
-
-    def feed(self, frame: Frame) -> tuple[Packet | None, list[Scan]]: ...
-
-    def drop_foreign(self) -> None: ...
-
-    def flush(self) -> list[Scan]: ...
-
-    def stats(self) -> dict[str, int | dict[str, int]]: ...
 
 
 @dataclass(slots=True)

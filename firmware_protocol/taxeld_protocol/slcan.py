@@ -7,7 +7,7 @@ CAN FD's of some adapters. An adapter answers a host's lines with CR, or BEL whe
 
 import re
 from binascii import unhexlify
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from taxeld_protocol.frames import Frame
 
@@ -78,27 +78,11 @@ def carries_no_data(line: bytes) -> bool:
 
 
 @dataclass(slots=True)
-class SlcanCounters:
-    """Counts of bytes and lines; `bytes` less `used` and the pending belong to no data frame."""
-
-    bytes: int = 0
-    used: int = 0
-    frames: int = 0
-    foreign: int = 0  # remote frames and CAN FD frames
-    noise: int = 0  # lines that are neither a frame nor an answer
-
-
-@dataclass(slots=True)
 class SlcanReader:
     """Bytes in pieces of any size → frames."""
 
-    counters: SlcanCounters = field(default_factory=SlcanCounters)
+    foreign: int = 0  # remote frames and CAN FD frames so far
     _rest: bytes = b""
-
-    @property
-    def pending(self) -> int:
-        """Bytes held for a line that is not complete."""
-        return len(self._rest)
 
     def feed(self, data: bytes, t: float) -> list[Frame]:
         """The frames that `data` completes, stamped with `t`."""
@@ -106,24 +90,16 @@ class SlcanReader:
 
     def lines(self, data: bytes) -> list[bytes]:
         """The lines that `data` completes, as `split` gives them."""
-        self.counters.bytes += len(data)
         lines, self._rest = split(self._rest + data)
         return lines
 
     def frames(self, lines: list[bytes], t: float) -> list[Frame]:
-        """The frames among such lines, stamped with `t`; the others are counted."""
-        counters = self.counters
+        """The data frames among such lines, stamped with `t`; foreign ones are counted."""
         frames = []
         for line in lines:
             frame = parse(line, t)
             if frame is not None:
-                counters.used += len(line.removesuffix(BEL)) + 1
                 frames.append(frame)
-            elif line.removesuffix(BEL) in ACCEPTED or STATUS.fullmatch(line):
-                continue
-            elif carries_no_data(line):
-                counters.foreign += 1
             else:
-                counters.noise += 1
-        counters.frames += len(frames)
+                self.foreign += carries_no_data(line)
         return frames

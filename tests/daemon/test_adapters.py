@@ -22,25 +22,21 @@ from taxeld.source.sources import LiveSource, open_source
 from taxeld_hil.rig.adapters import KINDS, Adapter
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import SlcanPort
-from taxeld_protocol.cyskin import Command, Packet
+from taxeld_protocol.cyskin import LEAVE_BOOTLOADER, Command, Packet
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.slcan import BITRATES, SlcanReader, split
+from taxeld_protocol.slcan import BITRATES, split
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
-from tests.rig.virtual_part import skin_layout
 
 COUNTS = list(range(1, 1 + CHANNELS))
 
 kinds = pytest.mark.parametrize("kind", KINDS)
-as_bus_and_as_line = pytest.mark.parametrize("bus", [True, False], ids=["bus", "line"])
 
 
-def configured(device: str, bus: bool, **more: object) -> SourceConfig:
-    if bus:
-        return SourceConfig(kind="can", interface="slcan", channel=device, **more)  # type: ignore[arg-type]
-    return SourceConfig(kind="serial", framing="slcan", channel=device, **more)  # type: ignore[arg-type]
+def configured(device: str, **more: object) -> SourceConfig:
+    return SourceConfig(kind="can", interface="slcan", channel=device, **more)  # type: ignore[arg-type]
 
 
 class ServedSkin:
@@ -81,13 +77,13 @@ class ServedSkin:
 
 @pytest.fixture
 def opened(tmp_path: Path) -> Iterator[Callable[..., ServedSkin]]:
-    """A skin behind an adapter of a kind, opened as a bus or as a line, and more of the table."""
+    """A skin behind an adapter of a kind, and more keys of its source."""
     with ExitStack() as stack:
 
-        def made(kind: str = "plain", bus: bool = True, at: str = "", **more: object) -> ServedSkin:
+        def made(kind: str = "plain", at: str = "", **more: object) -> ServedSkin:
             link = tmp_path / f"adapter{len(list(tmp_path.iterdir()))}"
             hub = stack.enter_context(VirtualHub(link, MODULES, adapter=kind))
-            skin = ServedSkin(hub, configured(hub.device + at, bus, **more))
+            skin = ServedSkin(hub, configured(hub.device + at, **more))
             stack.callback(skin.source.close)
             return skin
 
@@ -98,11 +94,10 @@ Opened = Callable[..., ServedSkin]
 
 
 @kinds
-@as_bus_and_as_line
 def test_the_skin_behind_each_kind_of_adapter_is_brought_up_and_left_stopped_and_closed(
-    opened: Opened, kind: str, bus: bool
+    opened: Opened, kind: str
 ) -> None:
-    skin = opened(kind, bus)
+    skin = opened(kind)
     skin.scans()
     skin.close()
     assert not skin.hub.ihb.auto_sync
@@ -110,11 +105,10 @@ def test_the_skin_behind_each_kind_of_adapter_is_brought_up_and_left_stopped_and
 
 
 @kinds
-@as_bus_and_as_line
 def test_listening_only_nothing_is_sent_to_the_bus_and_the_adapter_is_told_so(
-    opened: Opened, kind: str, bus: bool
+    opened: Opened, kind: str
 ) -> None:
-    skin = opened(kind, bus, listen_only=True, modules=LISTED)
+    skin = opened(kind, listen_only=True, modules=LISTED)
     skin.hub.ihb.phase, skin.hub.ihb.auto_sync = Phase.RUNNING, True  # something else started it
     skin.scans()
     assert skin.adapter.is_silent
@@ -123,12 +117,11 @@ def test_listening_only_nothing_is_sent_to_the_bus_and_the_adapter_is_told_so(
 
 
 @kinds
-@as_bus_and_as_line
 def test_a_channel_that_another_process_closed_is_opened_again_and_said_once(
-    opened: Opened, kind: str, bus: bool, caplog: pytest.LogCaptureFixture
+    opened: Opened, kind: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "taxeld")
-    skin = opened(kind, bus)
+    skin = opened(kind)
     source = skin.source
     skin.scans()
     caplog.clear()
@@ -157,7 +150,6 @@ class QuietHub(VirtualIhb):
         return super().answer(packet)
 
 
-@as_bus_and_as_line
 @pytest.mark.parametrize(
     "ihb",
     [
@@ -168,16 +160,15 @@ class QuietHub(VirtualIhb):
     ids=["drops requests", "is busy", "is quiet"],
 )
 def test_a_hub_that_takes_its_time_is_started_and_its_channel_is_not_opened_again(
-    opened: Opened, ihb: Callable[[], VirtualIhb], bus: bool, caplog: pytest.LogCaptureFixture
+    opened: Opened, ihb: Callable[[], VirtualIhb], caplog: pytest.LogCaptureFixture
 ) -> None:
-    skin = opened(bus=bus)
+    skin = opened()
     skin.hub.ihb = ihb()
     assert skin.scans() < 6.0
     assert "its channel is opened again" not in caplog.text
     assert skin.source.counters.unsent == 0
 
 
-@as_bus_and_as_line
 @pytest.mark.parametrize(
     ("flags", "kind"),
     [
@@ -189,21 +180,18 @@ def test_a_hub_that_takes_its_time_is_started_and_its_channel_is_not_opened_agai
     ],
 )
 def test_a_silent_adapter_is_asked_for_its_flags_and_they_are_said(
-    opened: Opened, bus: bool, flags: int, kind: str
+    opened: Opened, flags: int, kind: str
 ) -> None:
-    skin = opened("lawicel", bus, listen_only=True, modules=LISTED)
+    skin = opened("lawicel", listen_only=True, modules=LISTED)
     skin.adapter.flags = flags
     skin.until(lambda: any(skin.source.bus.counts.values()))
     assert {fault: n for fault, n in skin.source.bus.counts.items() if n} == {kind: 1}
     assert (kind == "arbitration") != (BusFault(kind).line in skin.source.waits_for)
 
 
-@as_bus_and_as_line
-def test_a_line_that_another_process_set_otherwise_is_set_right_again(
-    opened: Opened, bus: bool
-) -> None:
+def test_a_line_that_another_process_set_otherwise_is_set_right_again(opened: Opened) -> None:
     """As a shell's `stty sane` does: it then echoes, and gives whole lines instead of bytes."""
-    skin = opened("lawicel", bus)
+    skin = opened("lawicel")
     skin.scans()
     slave = skin.port.slave
     form = termios.tcgetattr(slave)
@@ -215,12 +203,11 @@ def test_a_line_that_another_process_set_otherwise_is_set_right_again(
     skin.scans()
 
 
-@as_bus_and_as_line
 def test_what_an_adapter_refuses_is_said_once_with_its_name(
-    opened: Opened, bus: bool, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    opened: Opened, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(BITRATES, 1_000_000, b"S9")  # Lawicel's knows no such
-    skin = opened("lawicel", bus)
+    skin = opened("lawicel")
     turns = itertools.count()
     skin.until(lambda: "refused S9" in caplog.text and next(turns) > 500)
     (line,) = [r.getMessage() for r in caplog.records if "refused S9" in r.getMessage()]
@@ -229,9 +216,8 @@ def test_what_an_adapter_refuses_is_said_once_with_its_name(
     )
 
 
-@as_bus_and_as_line
-def test_remote_and_fd_frames_are_passed_over_and_counted(opened: Opened, bus: bool) -> None:
-    skin = opened("lawicel", bus)
+def test_remote_and_fd_frames_are_passed_over_and_counted(opened: Opened) -> None:
+    skin = opened("lawicel")
     skin.scans()
     strange = b"r1010\rR17FFFFFF8\rr10181A2B\rd1011AA\rB000001019" + b"00" * 12 + b"\r"
     os.write(skin.port.fileno(), strange)
@@ -285,12 +271,11 @@ mutes = pytest.mark.parametrize("mute", [b"", b"C"], ids=["answers C", "does not
 @pytest.mark.parametrize("listen_only", [False, True])
 @latencies
 @mutes
-@as_bus_and_as_line
 def test_an_adapter_that_answers_late_is_opened_and_none_of_its_answers_is_taken_for_a_refusal(
-    bus: bool, listen_only: bool, late_s: float, mute: bytes, caplog: pytest.LogCaptureFixture
+    listen_only: bool, late_s: float, mute: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     with closing(LateAdapter(late_s, mute)) as late:
-        config = configured(late.device, bus, listen_only=listen_only, modules=LISTED)
+        config = configured(late.device, listen_only=listen_only, modules=LISTED)
         with closing(open_source(config, SKIN)) as source:
             tick = itertools.count()
 
@@ -314,7 +299,7 @@ def test_an_adapter_that_answers_late_and_refuses_the_bit_rate_is_named_with_tha
 ) -> None:
     monkeypatch.setitem(BITRATES, 1_000_000, b"S9")
     with closing(LateAdapter(late_s, mute)) as late:
-        with closing(open_source(configured(late.device, True), SKIN)) as source:
+        with closing(open_source(configured(late.device), SKIN)) as source:
             for tick in range(150):
                 source.poll(0.01 * tick)
                 late.serve(0.01 * tick)
@@ -325,33 +310,18 @@ def test_an_adapter_that_answers_late_and_refuses_the_bit_rate_is_named_with_tha
         assert all(text.split()[3][0] in "OtT" for text in said[1:]), said
 
 
-def test_an_adapter_with_nothing_behind_it_does_not_hide_that_boards_may_be_behind_ethernet(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    with closing(LateAdapter()) as late:
-        config = configured(late.device, True, dialect="icub")
-        with closing(open_source(config, skin_layout())) as source:
-            for tick in range(900):
-                source.poll(0.01 * tick)
-                late.serve(0.01 * tick)
-        for part in ("its channel is opened again", "behind an Ethernet board (EMS)"):
-            assert part in source.waits_for
-            assert sum(part in text for text in caplog.messages) == 1
-
-
 LONG = Frame(0.0, 0x17FFFFFF, b"\x01\x3b\x00\x00\x4f\x6d\x17", extended=True)
 
 
 @kinds
-@as_bus_and_as_line
 def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
-    tmp_path: Path, kind: str, bus: bool
+    tmp_path: Path, kind: str
 ) -> None:
     reached: list[Frame] = []
     with closing(SlcanPort(tmp_path / "adapter", reached.append, kind)) as port:
-        device = open_device(configured(str(tmp_path / "adapter"), bus), lambda *_: [LONG])
-        reader, heard, clock = SlcanReader(), [], itertools.count()
-        (waiting,) = device.pack(0, b"")
+        device = open_device(configured(str(tmp_path / "adapter")))
+        heard, clock = list[Frame](), itertools.count()
+        (waiting,) = device.pack(LEAVE_BOOTLOADER, b"")
 
         def pass_on() -> None:
             now_s = 0.01 * next(clock)
@@ -362,8 +332,7 @@ def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
                     device.put(waiting)
             elif port.is_open:
                 port.send(WireUnit(LONG, None))
-            for item in device.read():
-                heard.extend([item] if isinstance(item, Frame) else reader.feed(item.data, 0.0))
+            heard.extend(item for item in device.read() if isinstance(item, Frame))
 
         until(lambda: reached and heard, pass_on)
         assert {frame._replace(t=0.0) for frame in (*reached, *heard)} == {LONG}
@@ -373,7 +342,7 @@ def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
 def test_a_frame_with_a_long_id_goes_to_python_cans_busses_as_such() -> None:
     with can.Bus(interface="virtual", channel="long") as bus:
         config = SourceConfig(kind="can", interface="virtual", channel="long")
-        device = open_device(config, lambda *_: [LONG])
+        device = open_device(config)
         device.put(LONG)
         message = bus.recv(PATIENCE_S)
         assert message is not None
@@ -394,4 +363,4 @@ def test_the_bus_gets_the_configured_bit_rate(opened: Opened, bitrate: int) -> N
 @pytest.mark.parametrize("speed", ["fast", "", "300", "9" * 400, "-9600", "96 00"])
 def test_a_line_speed_that_is_none_is_refused(speed: str) -> None:
     with pytest.raises(SetupError, match="must end with @ and a line speed, as /dev/null@115200"):
-        open_source(configured(f"/dev/null@{speed}", bus=True), SKIN)
+        open_source(configured(f"/dev/null@{speed}"), SKIN)

@@ -3,10 +3,9 @@
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source import dialects
 from taxeld.source.sources import LiveSource
 from taxeld_protocol.frames import Frame
-from tests.rig.conversations import hold_host, load, names
+from tests.rig.conversations import NAMES, hold_host, load
 from tests.rig.given_device import GivenDevice
 from tests.rig.skins import SKIN
 
@@ -15,10 +14,9 @@ class DaemonSource:
     """As `tests.rig.conversations.Host`."""
 
     def __init__(self, config: SourceConfig) -> None:
-        dialect = dialects.live(config, SKIN)
         self.taxels: dict[int, int] = {}
-        self._bus = GivenDevice(dialect.to_frames)
-        self._source = LiveSource(config, dialect, lambda *_: self._bus, None)
+        self._bus = GivenDevice()
+        self._source = LiveSource(config, SKIN, lambda _: self._bus, None)
 
     def step(self, now_s: float, heard: list[Frame]) -> list[Frame]:
         self._bus.frames += heard
@@ -29,7 +27,7 @@ class DaemonSource:
         return [piece for piece in said if isinstance(piece, Frame)]
 
 
-@pytest.mark.parametrize("name", names("cyskin"))
+@pytest.mark.parametrize("name", NAMES)
 def test_the_daemon_says_its_part_and_reads_the_scan(name: str) -> None:
     conversation = load(name)
     period_ms = conversation.host["period_ms"]

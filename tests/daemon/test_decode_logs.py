@@ -15,7 +15,7 @@ from taxeld.source import logs
 from taxeld.source.module_order import ListedModules
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
-from taxeld_protocol import cyskin, serial_link, slcan
+from taxeld_protocol import serial_link
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.commands import refused
 from tests.rig.log_writers import (
@@ -128,7 +128,7 @@ def test_a_damaged_line_costs_only_itself_and_is_counted_and_named_once(
         ("a.trc", b";$FILEVERSION=2.0\n", "python-can's reader of .trc files stops here: "),
         ("a.mf4", b"MDF     4.10    ", "python-can's reader of .mf4 files stops here: "),
         ("a.b.asc.gz", b"", "python-can's reader of .asc files stops here: "),
-        ("serial.bin", b"\n" * 200_000, "neither an SLCAN frame nor a packet"),
+        ("serial.bin", b"\n" * 200_000, "has no packet of a hub's serial link"),
     ],
     ids=range(14),
 )
@@ -191,20 +191,13 @@ def test_a_log_without_interfaces_takes_no_name(tmp_path: Path, name: str) -> No
     assert "leave this out" in refused("decode", log, "--interface", "can0")
 
 
-@pytest.mark.parametrize("framing", ["native", "slcan"])
-def test_the_bytes_of_a_recorded_serial_line_are_decoded_with_their_times(
-    tmp_path: Path, framing: str
-) -> None:
+def test_the_bytes_of_a_recorded_serial_line_are_decoded_with_their_times(tmp_path: Path) -> None:
     hub = VirtualIhb(MODULES)
     with Recorder(tmp_path / "session", moves=False) as recorder:
         for scan in range(6):
             line = b"\x00\rnoise"
             for command, payload in hub.sensor_data(values_of(scan)):
-                if framing == "native":
-                    line += serial_link.DELIMITER + serial_link.encode(command, payload, ihb=1)
-                    continue
-                for frame in cyskin.to_frames(command, payload, ihb=1):
-                    line += b"\r" + slcan.encode(frame)
+                line += serial_link.DELIMITER + serial_link.encode(command, payload, ihb=1)
             for at in range(0, len(line), 50):
                 recorder.take(Chunk(START_S + 0.05 * scan + 1e-6 * at, line[at : at + 50]))
     log = tmp_path / "session" / "serial.bin"

@@ -14,7 +14,8 @@ from taxeld.estimator.estimate import Status
 from taxeld.stream import messages
 from taxeld.view.stage import Stage, recorded
 from taxeld.view.streams import Message
-from tests.rig.recorded import configuration, write_session
+from tests.rig.configurations import configuration
+from tests.rig.recorded import write_session
 
 from .test_stream_document import documented
 

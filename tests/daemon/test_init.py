@@ -19,7 +19,7 @@ from taxeld.config.file import load, parse
 from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
-from taxeld.source import dialects
+from taxeld.source.sources import live
 from tests.rig.commands import printed, refused
 from tests.rig.processes import read_all
 
@@ -56,7 +56,7 @@ def test_a_skin_too_large_for_the_usual_period_gets_one_that_the_bus_carries(
     printed("init", path, *flags, "--layout", large)
     config = parse(path.read_text(encoding="utf-8"))
     assert config.source.period_ms == 83
-    dialects.live(config.source, layouts.load(large))
+    live(config.source, layouts.load(large))
 
 
 def test_the_depth_is_that_of_the_bundle(tmp_path: Path) -> None:

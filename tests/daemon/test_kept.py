@@ -369,17 +369,16 @@ def test_the_writer_runs_before_the_loop_takes_its_priority(begin: Begin) -> Non
 
 
 @pytest.mark.parametrize(
-    ("kind", "text", "variable", "where"),
+    ("text", "variable", "where"),
     [
-        ("can", "", "", None),
-        ("can", "", "/var/lib/taxeld/a:/var/lib/b", "/var/lib/taxeld/a"),
-        ("can", '[skin]\nstate_dir = "/tmp/c"\n', "/var/lib/a", "/tmp/c"),  # noqa: S108
-        ("replay", "", "/var/lib/a", None),
+        ("", "", None),
+        ("", "/var/lib/taxeld/a:/var/lib/b", "/var/lib/taxeld/a"),
+        ('[skin]\nstate_dir = "/tmp/c"\n', "/var/lib/a", "/tmp/c"),  # noqa: S108
     ],
 )
 def test_the_place_is_the_configured_one_or_systemds(
-    monkeypatch: pytest.MonkeyPatch, kind: str, text: str, variable: str, where: str | None
+    monkeypatch: pytest.MonkeyPatch, text: str, variable: str, where: str | None
 ) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", variable)
-    source = f'[source]\nkind = "{kind}"\nchannel = "can0"\npath = "."\n[scene]\nbundle = "box"\n'
+    source = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
     assert directory(parse(source + text)) == (Path(where) if where else None)

@@ -14,7 +14,8 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
-from taxeld.source import dialects
+from taxeld.source.sources import live
+from taxeld_protocol.array import ArrayDecoder
 from taxeld_protocol.modules import NAMES
 from tests.rig.skins import table_of
 
@@ -313,8 +314,8 @@ class TestTable:
 
     def test_uids_that_no_module_has_are_of_arrays_alone(self):
         own = dataclasses.replace(RING, uid=np.arange(len(RING)))
-        dialects.of_array(SourceConfig(kind="array"), own)
+        ArrayDecoder(own.uid.tolist())
         with pytest.raises(
             SetupError, match=r"skin\.layout: its UIDs are of no module.*of an array"
         ):
-            dialects.live(SourceConfig(kind="can"), own)
+            live(SourceConfig(kind="can"), own)

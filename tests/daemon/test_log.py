@@ -20,10 +20,13 @@ from taxeld.proposals.analytic import Projection
 from taxeld.service import log
 from taxeld.service.notices import Notices
 from taxeld.skin.channels import Wiring
+from taxeld.stream import client
 from taxeld_protocol.modules import wired
-from tests.rig.configurations import config
+from tests.rig.clocks import until
+from tests.rig.configurations import config, configuration
 from tests.rig.logged import messages
-from tests.rig.recorded import configuration, write_session
+from tests.rig.processes import PIPES, taxeld
+from tests.rig.recorded import LiveSkin
 from tests.rig.simulated_skin import SimulatedSkin
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
@@ -153,21 +156,24 @@ def test_a_hub_that_lacks_modules_of_the_layout_is_logged(
     ]
 
 
-def test_a_daemon_says_when_it_is_ready_with_what(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    from taxeld.cli import main  # noqa: PLC0415
-
-    write_session(tmp_path, touches=1, period_s=0.02)
-    named = str(configuration(tmp_path))
-    assert main(["run", named]) == 0
-    lines = capfd.readouterr().err.splitlines()
+def test_a_daemon_says_when_it_is_ready_with_what(tmp_path: Path) -> None:
+    with LiveSkin(tmp_path, touches=0, period_s=0.02) as skin:
+        config = configuration(tmp_path, source=skin.source)
+        with taxeld("run", config, **PIPES) as daemon:
+            assert daemon.stderr is not None
+            lines = [daemon.stderr.readline()]
+            while "in the layout" not in lines[-1]:
+                lines.append(daemon.stderr.readline())
+            daemon.terminate()
     assert "ready: skin cylinder:rows=5" in lines[0]
     assert "80 taxels; object 003_cracker_box; samples by " in lines[0]
-    assert f"source replay {tmp_path}, open" in lines[0]
+    assert f"source can {tmp_path}/skin, open" in lines[0]
     assert f"streams at ipc://{tmp_path}/stream; control at ipc://{tmp_path}/control" in lines[0]
-    assert any(line.endswith("hub 1 sends: 8 modules, 8 of them in the layout") for line in lines)
-    before = logging.getLogger("taxeld").level
-    assert main(["run", "--log-level", "error", named]) == 0
-    assert capfd.readouterr().err == ""
-    assert logging.getLogger("taxeld").level == before
+    assert lines[-1].endswith("hub 1 sends: 8 modules, 8 of them in the layout\n")
+
+
+def test_a_run_with_a_log_level_of_its_own_logs_nothing_below_it(tmp_path: Path) -> None:
+    with taxeld("run", "--log-level", "error", configuration(tmp_path), **PIPES) as daemon:
+        until(lambda: client.ask(f"ipc://{tmp_path}/control", "info", timeout_s=0.5))
+        daemon.terminate()
+        assert daemon.communicate() == ("", "")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import zmq
 
-from taxeld.config.file import load, parse
+from taxeld.config.file import parse
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.model.activation import Activation
@@ -25,11 +25,9 @@ from taxeld.service.inputs import GATHER_S, GATHERS
 from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
 from taxeld.service.ticker import Ready
-from taxeld.source import session
 from taxeld.stream import messages
 from taxeld_protocol.decoder import Scan
 from tests.rig.clocks import until
-from tests.rig.recorded import configuration, write_session
 from tests.rig.simulated_skin import SimulatedSkin
 
 EVERY_KEY = [
@@ -499,23 +497,3 @@ def test_taxels_say_where_the_sensor_was_or_that_nobody_knows() -> None:
 def test_an_endpoint_without_its_directory_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match=r"publish\.endpoints: .* does not exist"):
         Daemon(parse(settings(tmp_path / "missing")))
-
-
-@pytest.mark.check
-def test_a_replay_ends_with_its_last_scan(tmp_path: Path) -> None:
-    """Though that waits for a pose that does not come."""
-    write_session(tmp_path, touches=1, period_s=0.02)
-    items = session.read(tmp_path).items
-    times = np.arange(items[0].t, items[-1].t - 0.03, 0.01)
-    rows = "".join(f"{t:.6f},0.3,0,0\n" for t in times)
-    (tmp_path / session.POSES).write_text(f"t,x,y,theta\n{rows}", "ascii")
-    text = "wait_s = 0.5\n"
-    config = configuration(tmp_path)
-    settings = config.read_text("utf-8")
-    assert "[sensor_pose]" not in settings
-    config.write_text(f"{settings}\n[sensor_pose]\n{text}", "utf-8")
-    daemon = Daemon(load(config))
-    daemon.run()
-    assert daemon.counters.scans > 30
-    assert daemon.pipeline.inputs.scans_waited > 0
-    assert daemon.pipeline.skin.counters.scans == daemon.counters.scans

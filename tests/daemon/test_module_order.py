@@ -16,7 +16,7 @@ from taxeld.commands.record import Recording
 from taxeld.config.file import load, parse
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source import dialects, module_order
+from taxeld.source import module_order
 from taxeld.source.module_order import UNPLACED_S
 from taxeld.source.sources import LiveSource
 from taxeld_protocol import cyskin
@@ -26,7 +26,7 @@ from taxeld_protocol.modules import listed
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig import skins
 from tests.rig.clocks import PATIENCE_S, until
-from tests.rig.commands import printed
+from tests.rig.commands import printed, refused
 from tests.rig.configurations import QUIET, configuration
 from tests.rig.given_device import GivenDevice
 from tests.rig.logged import warnings
@@ -60,9 +60,9 @@ def log(place: Path, heard: Sequence[Frame]) -> Path:
     return path
 
 
-def replay(place: Path, **source: object) -> str:
-    """The configuration of a daemon that replays what was logged in `place`."""
-    return str(configuration(place, source={"kind": "replay", "path": place, **source}))
+def configured(place: Path, **source: object) -> str:
+    """The configuration beside what was logged in `place`."""
+    return str(configuration(place, source=QUIET | source))
 
 
 def is_right(scans: Sequence[Scan]) -> bool:
@@ -77,7 +77,7 @@ def is_right(scans: Sequence[Scan]) -> bool:
 def listener(modules: tuple[tuple[int, ...], ...] = ()) -> tuple[LiveSource, GivenDevice]:
     config = SourceConfig(kind="can", channel="x", listen_only=True, modules=modules)
     device = GivenDevice()
-    return LiveSource(config, dialects.live(config, SKIN), lambda *_: device, None), device
+    return LiveSource(config, SKIN, lambda _: device, None), device
 
 
 def test_a_listener_reads_modules_in_the_order_of_the_list() -> None:
@@ -130,7 +130,8 @@ def test_a_module_that_told_nothing_of_itself_costs_its_own_taxels_alone(tmp_pat
         None if i == 1 else module.sui for i, module in enumerate(MODULES)
     ]
     log(tmp_path, [*answers, *heard[0]])
-    assert main(["check", replay(tmp_path)]) == 0
+    configured(tmp_path)
+    assert printed("replay", tmp_path)
 
 
 def test_a_strange_packet_does_not_end_a_listener_that_hears_its_skin() -> None:
@@ -166,16 +167,10 @@ def test_a_list_of_another_skin_is_refused() -> None:
         listener(((3535, 0xFFF),))
 
 
-@pytest.mark.parametrize("command", ["check", "replay", "run"])
-def test_a_recording_that_does_not_tell_its_modules_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
-) -> None:
+def test_a_recording_that_does_not_tell_its_modules_is_refused_in_one_line(tmp_path: Path) -> None:
     log(tmp_path, scan(VirtualIhb(MODULES)))
-    config = replay(tmp_path)
-    assert main([command, str(tmp_path) if command == "replay" else config]) == 2
-    printed, errors = capsys.readouterr()
-    assert printed == ""
-    (said,) = warnings(errors)
+    configured(tmp_path)
+    said = refused("replay", tmp_path)
     assert said.startswith(f"source.modules: hub 1 of {tmp_path} streams")
     assert MISSING in said
 
@@ -186,8 +181,8 @@ def test_a_recording_is_read_by_what_it_tells_anywhere_or_by_the_list(told_when:
     answers = frames(hub, told(hub), 1.5)
     heard = scan(hub, 1.0) + scan(hub, 2.0)
     items = {"before": answers + heard, "after": heard + answers, "listed": heard}[told_when]
-    config = SourceConfig(kind="replay", path="x", modules=LISTED if told_when == "listed" else ())
-    decoder = dialects.replayed(config, SKIN, items, "x")
+    config = SourceConfig(kind="can", modules=LISTED if told_when == "listed" else ())
+    decoder = module_order.recorded(config, SKIN, items, "x")
     scans = [scan for frame in items for scan in decoder.feed(frame)[1]]
     assert len(scans) == 2
     assert is_right(scans)
@@ -198,7 +193,7 @@ def test_decode_with_a_configuration_reads_by_its_list_or_refuses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], source: dict[str, object]
 ) -> None:
     path = log(tmp_path, scan(VirtualIhb(MODULES)))
-    code = main(["decode", "--config", replay(tmp_path, **source), str(path)])
+    code = main(["decode", "--config", configured(tmp_path, **source), str(path)])
     printed, errors = capsys.readouterr()
     if source:
         assert code == 0
@@ -238,15 +233,6 @@ def test_decode_says_once_that_a_hubs_modules_are_assumed(
     assert said.startswith(f"{path}: has no DECLARE of hub 1; full modules of 12 channels are ")
     assert "under wrong modules" in said
     assert "--config" in said
-
-
-def test_decode_of_a_sessions_log_takes_the_dialect_of_its_configuration(tmp_path: Path) -> None:
-    path = log(tmp_path, [Frame(1.0, 0x301, bytes(8)), Frame(1.0, 0x301, b"\x80" + bytes(7))])
-    source = QUIET | {"dialect": "icub"}
-    configuration(tmp_path, source=source, skin={"full_scale_counts": 200})
-    by_itself = printed("decode", path)
-    assert by_itself == printed("decode", "--dialect", "icub", path)
-    assert by_itself != printed("decode", "--dialect", "cyskin", path)
 
 
 @pytest.mark.parametrize("source", [{}, {"modules": LISTED}], ids=["unlisted", "listed"])

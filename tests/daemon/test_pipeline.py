@@ -30,14 +30,15 @@ from taxeld.stream import messages
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.rig.recorded import configuration, write_session
+from tests.rig.configurations import configuration
+from tests.rig.recorded import write_session
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.virtual_hub import told
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(SPEC)
 CONFIG = (
-    '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n[filter]\n'
+    '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n[filter]\n'
     'proposal = "manifold"\n'
 )
 ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'

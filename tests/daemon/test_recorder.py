@@ -322,13 +322,6 @@ def test_all_that_is_recorded_is_synced(tmp_path: Path, monkeypatch: pytest.Monk
     assert session.ABOUT in synced
 
 
-def test_a_replay_is_not_recorded_again(tmp_path: Path) -> None:
-    config = tmp_path / "config.toml"
-    config.write_text('[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n', "utf-8")
-    assert "is a recording already" in refused("run", "--record", tmp_path / "s", config)
-    assert not (tmp_path / "s").exists()
-
-
 def test_what_was_recorded_replays_as_many_scans_as_were_taken(
     tmp_path: Path, hub: VirtualHub
 ) -> None:

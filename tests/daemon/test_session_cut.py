@@ -5,7 +5,6 @@ import json
 import logging
 import os
 import shutil
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -22,15 +21,13 @@ from taxeld.errors import SetupError
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle, several
 from taxeld.proposals.bundle import Bundle
-from taxeld.service.loop import Daemon
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld.stream import messages
-from taxeld_protocol import cyskin, serial_link, slcan
+from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.rig.clocks import until
 from tests.rig.commands import refused
 from tests.rig.configurations import config, configuration
 from tests.rig.skins import CHANNELS, MODULES, SKIN
@@ -40,7 +37,6 @@ PERIOD_S = 0.05
 SOURCES = {
     "can": {"kind": "can", "channel": "can0"},
     "native": {"kind": "serial", "channel": "tty"},
-    "slcan": {"kind": "serial", "channel": "tty", "framing": "slcan"},
 }
 NAME = "003_cracker_box"
 SCANS = 32  # of them 20 make the baseline
@@ -71,8 +67,6 @@ def sent(transport: str) -> Iterator[Frame | Chunk]:
             frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + scan * PERIOD_S)
             if transport == "can":
                 yield from frames
-            elif transport == "slcan":
-                line += b"".join(map(slcan.encode, frames))
             else:
                 line += serial_link.encode(command, payload, ihb=1)
         for start in range(0, len(line), 97):
@@ -277,17 +271,3 @@ def test_where_no_pose_was_recorded_the_sensor_stands_still(tmp_path: Path) -> N
     pipeline = open_pipeline(tmp_path, config_of("can"))
     assert all(o.sensor is None or not o.sensor.any() for o in outcomes(tmp_path, pipeline))
     assert pipeline.estimate.contacts == 1
-
-
-def test_a_daemon_that_replays_uses_the_recorded_poses(tmp_path: Path) -> None:
-    record(tmp_path, "can")
-    source, nobody = {"kind": "replay", "path": tmp_path}, {"endpoints": []}
-    daemon = Daemon(
-        config(
-            source=source, filter={"proposal": "manifold"}, publish=nobody, control={"endpoint": ""}
-        )
-    )
-    until(lambda: daemon.inputs.source.finished, lambda: daemon.tick(time.monotonic()))
-    daemon.close()
-    assert daemon.pipeline.poses.taken > 50
-    assert daemon.pipeline.estimator.counters.scans > 5

@@ -14,7 +14,7 @@ from taxeld.commands.check import faults
 from taxeld.commands.replay import Replay
 from taxeld.commands.status import estimate_rows
 from taxeld.config.file import load
-from taxeld.config.tables import OBJECTS_MAX, Config, FilterConfig, SceneConfig
+from taxeld.config.tables import OBJECTS_MAX, FilterConfig, SceneConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Estimate
@@ -29,9 +29,8 @@ from taxeld.stream import messages
 from taxeld.view import ros
 from taxeld.view.watch import Page
 from tests.rig.commands import refused
-from tests.rig.configurations import config
-from tests.rig.recorded import configuration as recorded
-from tests.rig.recorded import golden, write_golden, write_session
+from tests.rig.configurations import config, configuration
+from tests.rig.recorded import LiveSkin, golden, write_golden, write_session
 from tests.rig.skins import SKIN
 
 THREE = ("box", "mug", "drill")
@@ -180,10 +179,7 @@ def test_the_log_says_once_which_object_it_surely_is(
 @pytest.fixture
 def session(tmp_path: Path) -> Path:
     write_session(tmp_path, touches=2)
-    path = recorded(tmp_path)
-    several_of = f"bundles = {json.dumps(THREE)}"
-    text = path.read_text(encoding="utf-8").replace('bundle = "box"', several_of)
-    path.write_text(text, encoding="utf-8")
+    configuration(tmp_path, scene={"bundles": THREE})
     return tmp_path
 
 
@@ -197,11 +193,12 @@ def test_a_session_of_several_objects_is_replayed(session: Path) -> None:
 
 
 @pytest.mark.check
-def test_a_daemon_publishes_several_objects(session: Path) -> None:
-    asked: Config = load(session / "config.toml")
-    with closing(Daemon(asked)) as daemon:
-        daemon.run()
-        estimate = daemon.publisher.state()["estimate"]
+def test_a_daemon_publishes_several_objects(tmp_path: Path) -> None:
+    with LiveSkin(tmp_path) as skin:
+        path = configuration(tmp_path, source=skin.source, scene={"bundles": THREE})
+        with closing(Daemon(load(path))) as daemon:
+            daemon.run(lambda: daemon.stop() if daemon.pipeline.estimate.contacts else None)
+            estimate = daemon.publisher.state()["estimate"]
     assert list(estimate["objects"]) == [*NAMES, "other"]
     assert sum(estimate["objects"].values()) == pytest.approx(1.0)
 

@@ -33,7 +33,7 @@ def say(made: Path, enough: object) -> None:
 def sizes(names: list[str], text: str = "") -> tuple[int, int, int]:
     given = ", ".join(f'"{name}"' for name in names)
     config = file.parse(
-        f'[scene]\nbundles = [{given}]\n[source]\nkind = "replay"\npath = "a"\n[filter]\n{text}'
+        f'[scene]\nbundles = [{given}]\n[source]\nkind = "can"\nchannel = "a"\n[filter]\n{text}'
     )
     now = several.sized(config, [bundle.manifest_of(name) for name in names]).filter
     return now.particles, now.particles_max, now.injected
@@ -61,7 +61,7 @@ def test_of_several_objects_the_one_that_needs_most_counts(small: Path) -> None:
 def test_check_says_whose_numbers_hold(small: Path, is_given: bool) -> None:
     own = "particles = 60" if is_given else ""
     config = file.parse(
-        f'[scene]\nbundle = "{small}"\n[source]\nkind = "replay"\npath = "a"\n[filter]\n{own}'
+        f'[scene]\nbundle = "{small}"\n[source]\nkind = "can"\nchannel = "a"\n[filter]\n{own}'
     )
     (line,) = check.notes(config)
     assert line == (

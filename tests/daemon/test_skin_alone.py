@@ -27,7 +27,7 @@ from taxeld.view.export import export
 from taxeld.view.stage import recorded
 from taxeld.view.watch import Page
 from tests.rig.configurations import config, configuration
-from tests.rig.recorded import write_session
+from tests.rig.recorded import LiveSkin, write_session
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.skins import SKIN
 
@@ -45,26 +45,29 @@ def shown(page: Page, now_s: float) -> str:
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
-    """What a daemon sends and answers while it replays a session of two touches, by topic and
-    command; and the modules that it has loaded."""
+    """What a daemon sends and answers while its skin is touched twice, by topic and command; and
+    the modules that it has loaded."""
     place = tmp_path_factory.mktemp("alone")
-    write_session(place, touches=2)
-    path = configuration(place, **NO_SCENE)
-    received: dict[str, list[Any]] = {}
-    command = [sys.executable, "-c", LOADED, "run", str(path)]
-    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+    received: dict[str, list[Any]] = {messages.CONTACTS.decode(): []}
+    with (
+        LiveSkin(place, touches=2) as skin,
+        zmq.Context() as context,
+        context.socket(zmq.SUB) as socket,
+    ):
+        path = configuration(place, source=skin.source, **NO_SCENE)
+        command = [sys.executable, "-c", LOADED, "run", str(path)]
         socket.setsockopt(zmq.LINGER, 0)
         socket.setsockopt(zmq.SUBSCRIBE, b"")
         socket.connect(f"ipc://{place}/stream")
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
             try:
                 deadline = time.monotonic() + 60.0
-                while daemon.poll() is None:
-                    assert time.monotonic() < deadline, "the replay does not end"
+                while sum(not m["patches"] for m in received[messages.CONTACTS.decode()]) < 2:
+                    assert time.monotonic() < deadline, "it does not feel both touches"
                     if socket.poll(20):
                         topic, body, _ = socket.recv_multipart()
                         received.setdefault(topic.decode(), []).append(msgpack.unpackb(body))
-                    if "status" not in received and messages.CONTACTS.decode() in received:
+                    if "status" not in received and received[messages.CONTACTS.decode()]:
                         for name in ("status", "info"):
                             answer = client.ask(f"ipc://{place}/control", name, timeout_s=20.0)
                             received[name] = [answer]
@@ -74,6 +77,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
                             asking.send(msgpack.packb({"cmd": "reset"}))
                             assert asking.poll(20_000)
                             received["reset"] = [msgpack.unpackb(asking.recv())]
+                daemon.terminate()
                 out, _ = daemon.communicate()
             finally:
                 daemon.kill()

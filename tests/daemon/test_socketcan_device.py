@@ -17,7 +17,7 @@ import can
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source import bus_faults, dialects, socketcan_device
+from taxeld.source import bus_faults, socketcan_device
 from taxeld.source.bus_faults import PASSED_S, BusFault
 from taxeld.source.device import AwayError, LostError
 from taxeld.source.devices import open_device
@@ -73,7 +73,7 @@ def bus(ours: tuple[Ours, socket.socket]) -> socket.socket:
 
 @pytest.fixture
 def device(bus: socket.socket) -> Iterator[SocketCanDevice]:  # noqa: ARG001
-    made = open_device(CONFIG, lambda *_: [])
+    made = open_device(CONFIG)
     assert isinstance(made, SocketCanDevice)
     yield made
     made.close()
@@ -154,7 +154,7 @@ def test_each_class_of_error_frames_is_counted_by_its_kind_and_said_with_its_cur
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.INFO, "taxeld")
-    source = LiveSource(CONFIG, dialects.live(CONFIG, SKIN), open_device, None)
+    source = LiveSource(CONFIG, SKIN, open_device, None)
     for now_s in (0.0, 1.0):
         bus.send(FRAME.pack(0x2000_0000 | classes, 8, bytes.fromhex(data).ljust(8, b"\0")))
         source.poll(now_s)
@@ -183,7 +183,7 @@ def test_a_bus_that_is_off_is_waited_for_until_it_works_and_an_event_passes_by_i
     bus: socket.socket, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "taxeld")
-    source = LiveSource(CONFIG, dialects.live(CONFIG, SKIN), open_device, None)
+    source = LiveSource(CONFIG, SKIN, open_device, None)
 
     def said(now_s: float) -> list[str]:
         caplog.clear()
@@ -213,7 +213,7 @@ def test_a_bus_that_is_off_is_waited_for_until_it_works_and_an_event_passes_by_i
 def test_frames_that_the_kernel_dropped_are_counted_and_said(
     ours: tuple[Ours, socket.socket], caplog: pytest.LogCaptureFixture
 ) -> None:
-    source = LiveSource(CONFIG, dialects.live(CONFIG, SKIN), open_device, None)
+    source = LiveSource(CONFIG, SKIN, open_device, None)
     for dropped in (0, 5, 5, 12):
         ours[0].dropped = dropped
         ours[1].send(packed(Frame(0.0, 0x101, b"a")))
@@ -229,7 +229,7 @@ def virtual(channel: str) -> tuple[LiveSource, can.BusABC]:
         kind="can", interface="virtual", channel=channel, listen_only=True, modules=LISTED
     )
     bus = can.Bus(interface="virtual", channel=channel)
-    return LiveSource(config, dialects.live(config, SKIN), open_device, None), bus
+    return LiveSource(config, SKIN, open_device, None), bus
 
 
 @pytest.mark.parametrize(("name", "classes", "data", "told"), ERROR_FRAMES, ids=str)
@@ -291,7 +291,7 @@ def test_a_vendors_interface_tells_its_state_by_itself_or_by_an_exception(
     config = SourceConfig(
         kind="can", interface="kvaser", channel="1", listen_only=True, modules=LISTED
     )
-    source = LiveSource(config, dialects.live(config, SKIN), open_device, None)
+    source = LiveSource(config, SKIN, open_device, None)
     source.poll(0.0)
     assert sum(source.bus.counts.values()) == 0
     happens(bus)
@@ -344,7 +344,7 @@ def test_an_interface_that_goes_down_is_lost_after_the_frames_that_came_before(
 
 
 def test_a_skin_is_heard_by_it(bus: socket.socket) -> None:
-    source = LiveSource(CONFIG, dialects.live(CONFIG, SKIN), open_device, None)
+    source = LiveSource(CONFIG, SKIN, open_device, None)
     scans, began = [], time.time()
     for k in range(3):
         for command, payload in VirtualIhb(MODULES).sensor_data(counts(k)):
@@ -361,4 +361,4 @@ def test_a_skin_is_heard_by_it(bus: socket.socket) -> None:
 @pytest.mark.parametrize("channel", ["can77", "lo"])
 def test_an_interface_that_is_no_can_bus_is_one_line(channel: str) -> None:
     with pytest.raises(AwayError, match=rf"^source\.channel: .*{channel}.*$"):
-        open_device(SourceConfig(kind="can", channel=channel), lambda *_: [])
+        open_device(SourceConfig(kind="can", channel=channel))

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source import dialects, session
+from taxeld.source import session
 from taxeld.source.can_device import CanDevice
 from taxeld.source.device import LostError
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
-from taxeld.source.sources import LiveSource, Source, open_source
+from taxeld.source.sources import LiveSource, Source, least_period_ms, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
-from taxeld_protocol.frames import Frame, format_log_line
+from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import Answer, HubLink, Phase, VirtualIhb
 from tests.rig.clocks import until
@@ -142,18 +142,16 @@ def test_a_cold_hub_on_a_can_bus_is_led_out_of_its_bootloader_by_a_frame_of_29_b
     [
         (60, SourceConfig("can"), 22),  # 189 frames: six packets
         (60, SourceConfig("can", bitrate=500_000), 44),
-        (60, SourceConfig("serial", framing="slcan"), 22),
         (60, SourceConfig("serial"), 0),
         (10, SourceConfig("can"), 4),
         (1, SourceConfig("can"), 1),
-        (224, SourceConfig("can", dialect="icub"), 52),  # two frames a triangle
     ],
 )
 def test_the_shortest_period_is_what_the_bus_carries(
     modules: int, source: SourceConfig, least_ms: int
 ) -> None:
     uid = np.array([sui << 4 | name for sui in range(modules) for name in range(1, 12)])
-    assert dialects.least_period_ms(source, replace(SKIN, uid=uid)) == least_ms
+    assert least_period_ms(source, replace(SKIN, uid=uid)) == least_ms
 
 
 def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
@@ -194,18 +192,6 @@ def test_a_clock_that_is_set_back_while_a_bus_is_read_makes_nobody_wait(
     assert waits == [0.0]
 
 
-def test_a_session_is_replayed_at_its_own_pace(tmp_path: Path) -> None:
-    hub = VirtualIhb(MODULES)
-    lines = []
-    for k in range(3):
-        for command, payload in hub.sensor_data(counts(k)):
-            frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + k)
-            lines += [format_log_line(frame) for frame in frames]
-    (tmp_path / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
-    source = open_source(SourceConfig(kind="replay", path=str(tmp_path), modules=LISTED), SKIN)
-    assert [len(source.poll(now)) for now in (50.0, 50.5, 51.0, 51.9, 52.1)] == [1, 0, 1, 0, 1]
-
-
 @pytest.mark.parametrize(("behind_s", "kept"), [(0.02, True), (7200.0, True), (1e8, False)])
 def test_stamps_of_an_adapters_own_clock_are_replaced_by_the_arrivals(
     monkeypatch: pytest.MonkeyPatch, behind_s: float, kept: bool
@@ -216,7 +202,7 @@ def test_stamps_of_an_adapters_own_clock_are_replaced_by_the_arrivals(
     waiting = [can.Message(timestamp=stamp, arbitration_id=0x101, data=b"\x43")]
     heard = lambda *_: (waiting.pop() if waiting else None, False)  # noqa: E731
     monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", heard)
-    device = CanDevice(config, lambda *_: [])
+    device = CanDevice(config)
     (frame,) = device.read()
     assert (frame.t == stamp) == kept
     assert kept or time.time() - frame.t < DEADLINE_S
@@ -240,7 +226,7 @@ def test_a_bus_without_a_descriptor_is_polled_and_one_that_fails_is_lost_after_i
         return said, False
 
     monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", next_one)
-    device = CanDevice(SourceConfig(kind="can", interface="virtual", channel="x"), lambda *_: [])
+    device = CanDevice(SourceConfig(kind="can", interface="virtual", channel="x"))
     assert device.fileno() < 0
     assert [[frame.can_id for frame in device.read()] for _ in range(2)] == [[0x101], [0x102]]
     with pytest.raises(LostError):
@@ -261,7 +247,7 @@ def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_de
     cut = len(frames) // 2
     device = GivenDevice()
     with Recorder(tmp_path / "session", moves=False) as recorder:
-        source = LiveSource(settings, dialects.live(settings, SKIN), lambda *_: device, recorder)
+        source = LiveSource(settings, SKIN, lambda _: device, recorder)
         held = []
         for part in (frames[:5], [], frames[5:cut]):
             device.frames = part

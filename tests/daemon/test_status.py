@@ -13,33 +13,39 @@ from taxeld.commands.status import lines
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import CURES, Why
 from taxeld.stream import client
-from tests.rig import configurations
 from tests.rig.clocks import until
 from tests.rig.commands import printed, refused
+from tests.rig.configurations import configuration
 from tests.rig.processes import taxeld
-from tests.rig.recorded import configuration, write_session
+from tests.rig.recorded import LiveSkin
 from tests.rig.stream_page import documented
 
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The place of a daemon that replays a long session."""
+    """The place of a daemon whose skin is touched again and again."""
     place = tmp_path_factory.mktemp("daemon")
-    write_session(place, touches=40)
-    with taxeld("run", configuration(place)) as daemon:
+    with (
+        LiveSkin(place, touches=40) as skin,
+        taxeld("run", configuration(place, source=skin.source)) as daemon,
+    ):
         try:
             until(lambda: client.ask(f"ipc://{place}/control", "info", timeout_s=0.5))
-            until(lambda: _contacts(place))
+            until(lambda: _contacts(place) and _status(place)["health"].get("dead_taxels"))
             yield place
         finally:
             daemon.terminate()
     assert daemon.returncode == 0
 
 
-def _contacts(place: Path) -> int:
+def _status(place: Path) -> dict[str, Any]:
     answer = client.ask(f"ipc://{place}/control", "status", timeout_s=20.0)
     assert answer is not None
-    return int(answer["estimate"]["contacts"])
+    return answer
+
+
+def _contacts(place: Path) -> int:
+    return int(_status(place)["estimate"]["contacts"])
 
 
 def test_status_is_aligned_names_and_values_with_units(
@@ -93,7 +99,7 @@ def test_a_device_that_is_waited_for_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = {"kind": "serial", "channel": f"{tmp_path}/skin"}
-    config = configurations.configuration(tmp_path, source=source)
+    config = configuration(tmp_path, source=source)
 
     def retried() -> dict[str, Any] | None:
         answer = client.ask(f"ipc://{tmp_path}/control", "status", timeout_s=5.0)

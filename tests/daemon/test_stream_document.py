@@ -15,7 +15,7 @@ from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.freshness import Why
 from taxeld.stream import client, messages
 from tests.rig.configurations import configuration, served
-from tests.rig.recorded import write_session
+from tests.rig.recorded import LiveSkin
 
 from ..rig.stream_page import Types, documented, leaves, section
 
@@ -25,22 +25,26 @@ PERIOD_S = 0.02  # a brisk session
 
 @pytest.fixture(scope="module")
 def heard(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, Any]]]:
-    """All that a daemon sends and answers while it replays a session, by topic and command."""
+    """All that a daemon sends and answers while its skin is touched, by topic and command."""
     place = tmp_path_factory.mktemp("run")
-    write_session(place, touches=4, period_s=PERIOD_S, rest=100)
     publish = {"publish": {**served(place)["publish"], "counts": True}}
-    path = configuration(place, **publish)
-    command = [sys.executable, "-m", "taxeld.cli", "run", str(path)]
     received: dict[str, list[dict[str, Any]]] = {}
-    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+    with (
+        LiveSkin(place, touches=4, period_s=PERIOD_S, rest=100) as skin,
+        zmq.Context() as context,
+        context.socket(zmq.SUB) as socket,
+    ):
+        path = configuration(place, source=skin.source, **publish)
+        command = [sys.executable, "-m", "taxeld.cli", "run", str(path)]
         socket.setsockopt(zmq.LINGER, 0)
         socket.setsockopt(zmq.SUBSCRIBE, b"")
         socket.connect(f"ipc://{place}/stream")
         with subprocess.Popen(command) as daemon:
             try:
                 deadline = time.monotonic() + 60.0
-                while daemon.poll() is None:
-                    assert time.monotonic() < deadline, "the replay does not end"
+                while not (skin.has_ended and "info" in received):
+                    assert time.monotonic() < deadline, "the skin does not end"
+                    assert daemon.poll() is None
                     if socket.poll(20):
                         topic, body, _ = socket.recv_multipart()
                         received.setdefault(topic.decode(), []).append(msgpack.unpackb(body))
@@ -49,9 +53,10 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, 
                             answer = client.ask(f"ipc://{place}/control", name, timeout_s=20.0)
                             assert answer is not None
                             received[name] = [answer]
+                daemon.terminate()
+                assert daemon.wait() == 0
             finally:
                 daemon.kill()
-    assert daemon.returncode == 0
     return received
 
 

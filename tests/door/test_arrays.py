@@ -1,7 +1,6 @@
 """Arrays through a door of its own: bad ones are counted, and nothing is lost of the others."""
 
 import json
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -63,13 +62,6 @@ def listener(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Listene
         yield made
 
 
-@pytest.fixture
-def at_a_port(tmp_path: Path) -> Iterator[Listener]:
-    made = Listener(tmp_path, f"udp://127.0.0.1:{free_port()}")
-    with made.stand:
-        yield made
-
-
 class Publisher:
     """Its messages have a topic, or are the map alone."""
 
@@ -121,34 +113,6 @@ def test_a_publisher_that_comes_anew_is_heard(listener: Listener) -> None:
         send = Publisher(listener)
         listener.until_heard(number, send)
         send.socket.close()
-
-
-def test_datagrams_of_one_sender_at_a_time_are_heard(at_a_port: Listener) -> None:
-    port = int(at_a_port.endpoint.rpartition(":")[2])
-    with socket.socket(type=socket.SOCK_DGRAM) as one, socket.socket(type=socket.SOCK_DGRAM) as two:
-
-        def send(by: socket.socket, body: bytes) -> None:
-            by.sendto(body, ("127.0.0.1", port))
-
-        at_a_port.until_heard(1, lambda sent: send(one, json.dumps(sent).encode()))
-        for number, bomb in enumerate(BOMBS, 2):
-            send(one, bomb)
-            at_a_port.until_heard(number, lambda sent: send(one, msgpack.packb(sent)))
-        last = len(BOMBS) + 1
-        assert {f.t for f in at_a_port.came} == set(range(1, last + 1))
-        send(two, msgpack.packb(message(99)))
-        at_a_port.until_heard(98, lambda sent: send(one, msgpack.packb(sent)))
-        at_a_port.stand.until(lambda: at_a_port.line.malformed > len(BOMBS))
-        assert all(f.t != 99 for f in at_a_port.came)
-        at_a_port.until_heard(100, lambda sent: send(two, msgpack.packb(sent)))
-
-
-def test_a_port_that_another_program_has_is_said_at_start(tmp_path: Path) -> None:
-    with socket.socket(type=socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.0.1", 0))
-        where = f"udp://127.0.0.1:{other.getsockname()[1]}"
-        with pytest.raises(Exception, match=r"source\.endpoint: cannot listen at udp"):
-            Stand(tmp_path, array=where)
 
 
 def test_a_door_that_is_started_again_hears_the_array(listener: Listener) -> None:

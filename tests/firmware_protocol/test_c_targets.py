@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 
 from taxeld import __version__
-from tests.rig.conversations import load
+from tests.rig.conversations import NAMES, load
 
 from .c_side import STRICT, C
 from .test_c_side import text_of_vectors
-from .test_conversations import CYSKIN, text_of
+from .test_conversations import text_of
 
 ROUNDS_OF_DAMAGE = 2_000
 TARGETS = {  # compiler and emulator
@@ -77,7 +77,7 @@ def test_the_conversations_are_held_on_other_processors(
 ) -> None:
     compiler, emulator = target
     run(compiler, *STRICT, "-O2", "-static", C / "hub_main.c", "-o", tmp_path / "hub_main")
-    for name in CYSKIN:
+    for name in NAMES:
         text = text_of(load(name))
         (tmp_path / name).write_text(text, encoding="ascii")
         printed = run(emulator, tmp_path / "hub_main", tmp_path / name)

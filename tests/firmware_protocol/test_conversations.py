@@ -12,18 +12,17 @@ from taxeld_protocol.cyskin import Packet, Reassembler
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import listed
 from taxeld_protocol.virtual_ihb import HubLink, Phase, VirtualIhb
-from tests.rig.conversations import FOLDER, Conversation, Line, hold_device, load, names
+from tests.rig.conversations import FOLDER, NAMES, Conversation, Line, hold_device, load
 
 from .c_side import C, CSide, compile_c
 from .test_c_side import SANITIZED, c_side  # noqa: F401  (a fixture)
 
-CYSKIN = names("cyskin")
 PHASES = {"cold": Phase.BOOTLOADER, "warm": Phase.RUNNING}
-each = pytest.mark.parametrize("name", CYSKIN)
+each = pytest.mark.parametrize("name", NAMES)
 
 
 def test_there_are_conversations_of_cold_warm_and_cut_hubs() -> None:
-    assert {"cyskin_cold", "cyskin_warm", "cyskin_cut"} <= set(CYSKIN)
+    assert {"cyskin_cold", "cyskin_warm", "cyskin_cut"} <= set(NAMES)
 
 
 @each

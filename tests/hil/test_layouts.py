@@ -21,7 +21,6 @@ SHARED = Path(os.environ.get("TAXELD_SHARED", Path(__file__).parents[3] / "share
 REAL = (
     SHARED / "layouts" / "ur10e_link1_patch1.json",
     SHARED / "layouts" / "ur10e_link2_patch1.json",
-    SHARED / "icub_positions" / "right_forearm_nomesh.txt",
 )
 PITCHES = (  # each covers about the same area of the same link
     "cylinder:rows=11,columns=39,radius_m=0.04,pitch_m=0.0065",

@@ -1,7 +1,5 @@
 """A skin that sends arrays, pressed against the shipped box from all sides, and its robot."""
 
-import json
-import socket
 import threading
 import time
 from typing import Any
@@ -46,20 +44,15 @@ class ArraySkin(threading.Thread):
         self.join()
 
     def run(self) -> None:
-        with zmq.Context() as context, socket.socket(type=socket.SOCK_DGRAM) as datagrams:
-            robot = bound(context, self.robot)
-            skin = None if self.endpoint.startswith("udp") else bound(context, self.endpoint)
+        with zmq.Context() as context:
+            robot, skin = bound(context, self.robot), bound(context, self.endpoint)
             for at in self._path():
                 t = time.time()
                 x, y, theta = map(float, se2.compose(TRUTH, at))
                 pose = msgpack.packb({"t": t, "x": x, "y": y, "theta": theta})
                 robot.send_multipart([b"/robot/sensor_pose", pose, b"%.6f" % t])
                 message = {"t": t, "id": self.named, self.key: self.values(at)}
-                if skin is None:
-                    port = int(self.endpoint.rpartition(":")[2])
-                    datagrams.sendto(json.dumps(message).encode(), ("127.0.0.1", port))
-                else:
-                    skin.send_multipart([b"/skin", msgpack.packb(message)])
+                skin.send_multipart([b"/skin", msgpack.packb(message)])
                 self.sent += 1
                 if self.stops.wait(PERIOD_S):
                     break

@@ -33,9 +33,9 @@ def config(**tables: Table) -> Config:
 
 
 def configuration(place: Path, **tables: Table) -> Path:
-    """The file of a daemon that replays `place` and serves there; `tables` take the place of its
+    """The file of a daemon on a quiet bus that serves in `place`; `tables` take the place of its
     own."""
-    whole = {"source": {"kind": "replay", "path": place}, "scene": {"bundle": "box"}}
+    whole = {"source": QUIET, "scene": {"bundle": "box"}}
     path = place / "config.toml"
     path.write_text(toml(**whole | served(place) | tables), encoding="utf-8")
     return path

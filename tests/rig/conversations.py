@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from taxeld_protocol.frames import Frame, parse_log_line
 
 FOLDER = Path(__file__).parents[2] / "firmware_protocol" / "vectors" / "conversations"
+NAMES = [path.stem for path in sorted(FOLDER.glob("*.json"))]
 TICK_S = 0.01
 PATIENCE_S = 30.0  # of a host, on its own clock
 
@@ -30,7 +31,6 @@ class Conversation:
     """A file of the folder."""
 
     name: str
-    dialect: str
     host: dict[str, Any]
     devices: list[dict[str, Any]]
     script: list[Line]
@@ -71,12 +71,7 @@ def load(name: str) -> Conversation:
         )
         for line in value["script"]
     ]
-    return Conversation(name, value["dialect"], value["host"], value["devices"], script)
-
-
-def names(dialect: str) -> list[str]:
-    """The conversations of a dialect."""
-    return [p.stem for p in sorted(FOLDER.glob("*.json")) if load(p.stem).dialect == dialect]
+    return Conversation(name, value["host"], value["devices"], script)
 
 
 def hold_device(

@@ -2,15 +2,13 @@
 
 from collections.abc import Sequence
 
-from taxeld.source.device import Device, LostError, Piece
-from taxeld.source.dialects import ToFrames
+from taxeld.source.device import Device, LostError, Piece, frames_of
 from taxeld_protocol.frames import Frame
 
 
 class GivenDevice(Device):
-    def __init__(self, to_frames: ToFrames = lambda *_: []) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._to_frames = to_frames
         self.frames: list[Frame] = []  # read next
         self.sent: list[Piece] = []
         self.is_lost = False
@@ -22,7 +20,7 @@ class GivenDevice(Device):
         return heard
 
     def pack(self, to: int, body: bytes) -> Sequence[Piece]:
-        return self._to_frames(to, body)
+        return frames_of(to, body)
 
     def put(self, piece: Piece) -> None:
         self.sent.append(piece)

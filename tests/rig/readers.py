@@ -36,7 +36,6 @@ from taxeld.stream import curve, messages
 from taxeld_hil.scenario import scenario
 
 from ..daemon.test_layout_files import document
-from ..daemon.test_layout_icub import icub_rows, icub_text
 from .log_writers import bus, candump_log
 from .skins import table_of
 
@@ -204,9 +203,6 @@ READERS = {
         lambda: [table_of(layouts.load(SkinConfig().layout), uid=True).encode()],
     ),
     "layout.json": Reader(_layout("skin.json"), lambda: [json.dumps(document(16)).encode()]),
-    "positions.txt": Reader(
-        _layout("skin.txt"), lambda: [icub_text(icub_rows(), [6, -1] * 24).encode()]
-    ),
     session.FRAMES: Reader(_in_session(session.FRAMES), _frames),
     **{
         name: Reader(_in_session(name), lambda name=name: [(RECORDED / name).read_bytes()])  # type: ignore[misc]

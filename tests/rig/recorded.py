@@ -1,17 +1,19 @@
-"""A recorded session: an idle skin that is then touched, as frames of a candump log."""
+"""An idle skin that is then touched: as a recorded session, or live."""
 
-from collections.abc import Iterable
+import threading
+import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import format_log_line
 from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
-from tests.rig.configurations import Table
-from tests.rig.configurations import configuration as of_daemon
+from tests.rig.configurations import QUIET, Table, configuration
 from tests.rig.skins import CHANNELS, MODULES
-from tests.rig.virtual_hub import told
+from tests.rig.virtual_hub import VirtualHub, told
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
 
@@ -22,10 +24,20 @@ PRESSED = range(36, 44)  # channels of one side of the skin
 DEAD = 5  # a channel that never reads anything
 
 
-def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S, rest: int = 0) -> None:
-    """`frames.log` in `place`: idle, then `touches` times ten scans of touch and ten of none, and
-    `rest` more of none, after what the hub told of its modules."""
+def scans(touches: int, rest: int = 0) -> Iterator[list[int]]:
+    """The counts of each scan: idle, then `touches` times ten of touch and ten of none, and `rest`
+    more of none."""
     rng = np.random.default_rng(0)
+    for scan in range(-IDLE_SCANS, 20 * touches + rest):
+        counts = IDLE_COUNTS + rng.normal(0.0, NOISE, CHANNELS)
+        if 0 <= scan < 20 * touches and scan % 20 < 10:
+            counts[PRESSED] += 8000.0
+        counts[DEAD] = 0.0
+        yield counts.astype(int).tolist()
+
+
+def write_session(place: Path, touches: int = 1) -> None:
+    """`frames.log` in `place`: the scans, after what the hub told of its modules."""
     ihb = VirtualIhb(MODULES)
     lines: list[str] = []
 
@@ -35,15 +47,39 @@ def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S, res
             lines.extend(map(format_log_line, frames))
 
     log(told(ihb), 1e9)
-    for scan in range(IDLE_SCANS + 20 * touches + rest):
-        t = 1e9 + scan * period_s
-        counts = IDLE_COUNTS + rng.normal(0.0, NOISE, CHANNELS)
-        is_touched = 0 <= scan - IDLE_SCANS < 20 * touches
-        if is_touched and (scan - IDLE_SCANS) % 20 < 10:
-            counts[PRESSED] += 8000.0
-        counts[DEAD] = 0.0
-        log(ihb.sensor_data(counts.astype(int).tolist()), t)
+    for number, counts in enumerate(scans(touches)):
+        log(ihb.sensor_data(counts), 1e9 + number * PERIOD_S)
     (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+class LiveSkin(threading.Thread):
+    """The same scans from a hub behind an adapter in `place`, the last of them again and again."""
+
+    def __init__(self, place: Path, touches: int = 1, period_s: float = PERIOD_S, rest: int = 0):
+        super().__init__(daemon=True)
+        self._scans = list(scans(touches, rest))
+        self._hub = VirtualHub(place / "skin", MODULES)
+        self._stops = threading.Event()
+        self.source = {**self._hub.source, "period_ms": round(1000 * period_s)}
+
+    @property
+    def has_ended(self) -> bool:
+        return self._hub.scans >= len(self._scans)
+
+    def run(self) -> None:
+        with self._hub:
+            while not self._stops.wait(0.002):
+                self._hub.serve(
+                    time.monotonic(), lambda k: self._scans[min(k, len(self._scans) - 1)]
+                )
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stops.set()
+        self.join()
 
 
 def write_golden(place: Path) -> None:
@@ -53,19 +89,12 @@ def write_golden(place: Path) -> None:
 
 
 def golden(place: Path, **tables: Table) -> Path:
-    """The configuration of a daemon that replays `write_golden` and serves nobody; `tables`: more
+    """The configuration beside `write_golden` of a daemon that serves nobody; `tables`: more
     keys."""
     whole: dict[str, Table] = {
-        "source": {"kind": "replay", "path": place, "modules": [[1, 0xFFF]]},
+        "source": QUIET | {"modules": [[1, 0xFFF]]},
         "publish": {"endpoints": []},
         "control": {"endpoint": ""},
     }
     more = {name: {**whole.get(name, {}), **keys} for name, keys in tables.items()}
-    return of_daemon(place, **whole | more)
-
-
-def configuration(place: Path, more: str = "") -> Path:
-    """Of a daemon that replays `place` and serves there; `more`: tables."""
-    path = of_daemon(place)
-    path.write_text(path.read_text(encoding="utf-8") + more, encoding="utf-8")
-    return path
+    return configuration(place, **whole | more)

@@ -46,7 +46,7 @@ class Touched:
         self._log = place / "log"
         config = place / "touched.toml"
         config.write_text(
-            f'[skin]\nlayout = "{SKIN}"\n[source]\nkind = "serial"\nframing = "slcan"\n'
+            f'[skin]\nlayout = "{SKIN}"\n[source]\nkind = "can"\ninterface = "slcan"\n'
             f'channel = "{place}/skin"\n[scene]\nbundle = "box"\n'
             f'[filter]\nproposal = "manifold"\n[publish]\nendpoints = ["{self.stream}"]\n'
             f'[control]\nendpoint = "{self.control}"\n{settings}',

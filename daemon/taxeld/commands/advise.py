@@ -42,7 +42,10 @@ class Adviser:
             raise SetupError("scene.bundle: is empty; advice is on an object")
         config = several.sized(config, [one.manifest for one in bundles])
         samples = several.untimed(bundles, config.filter)
-        calibrations = [calibration_file.of(*each) for each in zip(config.each, skins, strict=True)]
+        calibrations = [
+            calibration_file.load(one.skin, skin, time.time())
+            for one, skin in zip(config.each, skins, strict=True)
+        ]
         models = [one.model for one in bundles]
         pipeline = Pipeline(config, skins, models, samples, calibration=calibrations)
         self._estimator = pipeline.estimator

@@ -4,6 +4,7 @@ Nothing is sent to a device, and no request of a peer is answered.
 """
 
 import contextlib
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -18,11 +19,11 @@ from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle, choice, several
 from taxeld.proposals.manifest import FilterEntry
 from taxeld.service import calibration_file
-from taxeld.source import dialects, session
 from taxeld.source.buses import check_uids, joint
 from taxeld.source.device import BusyError
 from taxeld.source.devices import open_device
 from taxeld.source.socketcan_device import bring_up
+from taxeld.source.sources import live
 from taxeld.stream import client, curve, messages
 
 SYS_NET = Path("/sys/class/net")
@@ -62,11 +63,12 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
         for bus, numbers in links.buses(config):
             own = [skins[k] for k in numbers]
             attempt(check_uids, [config.names[k] for k in numbers], own)
-            attempt(_read_source, bus, joint(own))
+            if bus.kind != "array":
+                attempt(live, bus, joint(own))
         if config.scene.names:
             attempt(_open_bundle, config, skins)
         for one, skin in zip(config.each, skins, strict=True):
-            attempt(calibration_file.of, one, skin)
+            attempt(calibration_file.load, one.skin, skin, time.time())
 
     attempt(use_layouts)
     for bus, _ in links.buses(config):
@@ -74,7 +76,7 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
         is_silent_on_use = bus.interface not in ("socketcan", "slcan")
         may_be_used = is_running and bus.kind == "can" and is_silent_on_use
         if bus.kind in ("can", "serial") and not may_be_used:
-            attempt(_open_device, bus)
+            attempt(lambda one: open_device(one).close(), bus)
     attempt(_read_keys, config)
     for key, named in (
         ("publish.endpoints", config.publish.endpoints),
@@ -91,19 +93,11 @@ def notes(config: Config) -> list[str]:
     """Lines on matters that no check can decide."""
     source = config.source
     found = _sizes(config) if config.scene.names else [ALONE]
-    if source.kind == "replay":
-        return found
     found += [line] if (line := _down(source)) else []
     if not config.sensor_pose.endpoint:
         heard = client.hears(POSES_USUAL, messages.SENSOR_POSE, HEAR_POSES_S)
         found += [POSES_UNUSED] * heard
-    if source.dialect != "icub" or source.kind == "array":
-        return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
-    return [
-        *found,
-        f"source.channel: the boards must hang on {source.channel} itself; behind an Ethernet "
-        "board (EMS), as on most iCubs, they cannot be reached over CAN",
-    ]
+    return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
 
 
 def _sizes(config: Config) -> list[str]:
@@ -117,23 +111,11 @@ def _sizes(config: Config) -> list[str]:
     return [f"filter: {size}, as {whose}"]
 
 
-def _read_source(source: SourceConfig, skin: Layout) -> None:
-    if source.kind == "replay":
-        recorded = session.read(Path(source.path)).items
-        dialects.replayed(source, skin, recorded, source.path)
-    elif source.kind != "array":
-        dialects.live(source, skin)
-
-
 def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
     bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
     for name in choice.possible(several.leading(bundles), config.filter):
         for one in bundles:
             one.open(one.own(name))
-
-
-def _open_device(source: SourceConfig) -> None:
-    open_device(source, lambda *_: []).close()
 
 
 def _read_keys(config: Config) -> None:

@@ -3,7 +3,6 @@
 import json
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,8 +14,7 @@ from taxeld.source import logs, module_order, session
 from taxeld.source.module_order import ListedModules, missing
 from taxeld.source.wire import Decoded, Wire
 from taxeld_protocol.cyskin import Command
-from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
-from taxeld_protocol.icub_decoder import IcubDecoder
+from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.modules import NAMES, Module
 
 KNOWN = (
@@ -25,37 +23,34 @@ KNOWN = (
 )
 HUBS_NAMED = 8  # in a line
 
+Listed = tuple[tuple[int, ...], ...]  # as `source.modules`
+
 log = logging.getLogger(__name__)
 
 
-def of_session(path: Path) -> SourceConfig:
-    """The dialect and modules that stand beside a log in its session; the defaults for another
-    log. Modules that were declared to the recorder (`modules.toml`) go before listed ones.
+def of_session(path: Path) -> Listed:
+    """The modules that stand beside a log in its session; none for another log. Modules that were
+    declared to the recorder (`modules.toml`) go before listed ones.
 
     Raises:
         ConfigError: a file of the session has faults.
     """
-    source = SourceConfig(kind="replay")
-    if path.name not in (session.FRAMES, session.SERIAL):
-        return source
-    if (config := path.with_name(session.CONFIG)).exists():
-        source = config_file.load(config).source
-    if (file := path.with_name(module_order.FILE)).exists():
-        text = f'kind = "replay"\n{config_file.text_of(file)}'
-        heard = toml_tables.parse(SourceConfig, text, str(file))
-        source = replace(source, modules=heard.modules)
-    return source
+    if path.name in (session.FRAMES, session.SERIAL):
+        if (file := path.with_name(module_order.FILE)).exists():
+            text = f'kind = "can"\n{config_file.text_of(file)}'
+            return toml_tables.parse(SourceConfig, text, str(file)).modules
+        if (config := path.with_name(session.CONFIG)).exists():
+            return config_file.load(config).source.modules
+    return ()
 
 
-def decode(
-    path: Path, given: ListedModules | None = None, dialect: str = "cyskin", interface: str = ""
-) -> Iterator[str]:
+def decode(path: Path, given: ListedModules | None = None, interface: str = "") -> Iterator[str]:
     """The log's scans and a last line {"stats": …}. `interface`: the one to decode, where the log
     has several.
 
-    The module table of a CySkin hub comes from its DECLARE and DETAILS answers, wherever in the log
-    they stand; else from `given`; else full modules are assumed, as many as the hub's packets
-    reach, which is logged, and told as "assumed". An iCub board has the triangles that it sends.
+    A hub's module table comes from its DECLARE and DETAILS answers, wherever in the log they stand;
+    else from `given`; else full modules are assumed, as many as the hub's packets reach, which is
+    logged, and told as "assumed".
 
     Raises:
         SetupError: the log is unreadable or has no frame, the interface is ambiguous, or `given`
@@ -72,8 +67,7 @@ def decode(
     def tables() -> dict[int, Sequence[Module]]:
         return _tables(path, interface, given, assumed)
 
-    known = Decoder(lambda ihb: tables().get(ihb, ()))
-    decoder: ScanDecoder = IcubDecoder() if dialect == "icub" else known
+    decoder = Decoder(lambda ihb: tables().get(ihb, ()))
     whole = _Pass(path, decoder, interface)
     for _, scans in whole.heard():
         yield from map(_line, scans)
@@ -91,15 +85,14 @@ def decode(
 class _Pass:
     """One pass through a log: the frames of one interface, through a decoder."""
 
-    def __init__(self, path: Path, decoder: ScanDecoder, interface: str) -> None:
+    def __init__(self, path: Path, decoder: Decoder, interface: str) -> None:
         self.damage = logs.Damage()
         self._path = path
         self._decoder = decoder
         self._interface = interface
         self._wire: Wire | None = None
         if path.suffix.lower() == logs.SERIAL_ENDING:
-            framing = logs.framing(path)
-            self._wire = Wire(SourceConfig(kind="serial", framing=framing), decoder)
+            self._wire = Wire(decoder)
 
     def heard(self) -> Iterator[Decoded]:
         """Packets and scans from the decoder.
@@ -114,6 +107,8 @@ class _Pass:
             raise SetupError(f"--interface: {self._path} is of a serial line; leave this out")
         for chunk in logs.chunks(self._path, self.damage):
             yield from self._wire.data(chunk.data, chunk.t)
+        if not self._wire.packets:
+            raise SetupError(f"{self._path}: has no packet of a hub's serial link")
 
     def stats(self) -> dict[str, object]:
         """Counters of the decoder and of a serial line, and the amount of damage."""

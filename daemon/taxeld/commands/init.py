@@ -15,7 +15,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import generated
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
-from taxeld.source import dialects
+from taxeld.source.sources import least_period_ms
 
 Tables = dict[str, dict[str, Any]]  # values of keys, by table
 
@@ -36,13 +36,12 @@ QUESTIONS = {  # by option
     "width in metres; empty for 0 0 0.5",
 }
 OPTIONAL = ("poses", "where")  # these may stay without an answer
-ICUB_COUNTS = 200.0  # full scale of an iCub's skin
 
 
 def write(path: Path, options: Mapping[str, Any]) -> Config:
     """Write the configuration of the options `source`, `bundle`, `layout`, `poses`, `where`,
-    `dialect`, `no_object` and `keys`; a person at the terminal is asked for those of `QUESTIONS`
-    that are None.
+    `no_object` and `keys`; a person at the terminal is asked for those of `QUESTIONS` that are
+    None.
 
     Raises:
         SetupError: an answer is missing or cannot be used, or the file exists already.
@@ -100,11 +99,8 @@ def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
     skin: dict[str, Any] = {"layout": layout if generated.parse(layout) else _from(path, layout)}
     if depth_m != SkinConfig().full_scale_depth_m:
         skin["full_scale_depth_m"] = depth_m
-    if options["dialect"] == "icub":
-        source["dialect"] = "icub"
-        skin["full_scale_counts"] = ICUB_COUNTS
     planned = SourceConfig(**source)
-    least_ms = 0 if planned.kind == "array" else dialects.least_period_ms(planned, placed)
+    least_ms = 0 if planned.kind == "array" else least_period_ms(planned, placed)
     if least_ms > planned.period_ms:
         source["period_ms"] = least_ms
     keys = options["keys"]

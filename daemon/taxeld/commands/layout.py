@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from taxeld.layout.layout import Layout
 
 TILT_MAX_RAD = math.radians(30.0)  # the scene model assumes that a taxel gives way along its radius
-SAME_PLACE_M = 1e-4  # iCub files put taxels of unknown place at their neighbour's
+SAME_PLACE_M = 1e-4  # some files put taxels of unknown place at their neighbour's
 ABOVE_M = 0.005  # height of the lowest taxels over the table, in the next command
 CLOSED_PITCHES = 2.0  # taxel pitches: a narrower angular gap is only the space between taxels
 
@@ -21,10 +21,7 @@ def summary(layout: Layout) -> list[str]:
     facts = {
         "layout": layout.name,
         "taxels": f"{len(layout)} in {modules} modules",
-        "left out": (
-            f"{source.missing} missing{f' ({source.pads} thermal pads)' if source.pads else ''}, "
-            f"{source.cut} cut, {source.duplicates} duplicate"
-        ),
+        "left out": (f"{source.missing} missing, {source.cut} cut, {source.duplicates} duplicate"),
         "unit": {"m": "metres", "mm": "millimetres, read as 0.001 m"}[source.unit],
     }
     if math.isinf(layout.radius_m):

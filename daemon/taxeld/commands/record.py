@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from taxeld.config.tables import Config, SourceConfig
-from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.poses import OnPose, PoseTrack
@@ -30,10 +29,8 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
     """The recorder for the input of this configuration.
 
     Raises:
-        SetupError: the directory cannot be recorded into, or the configuration replays a session.
+        SetupError: the directory cannot be recorded into.
     """
-    if config.source.kind == "replay":
-        raise SetupError("source.kind: 'replay' is a recording already; use can, serial or array")
     named = Path(config.skin.calibration) if config.skin.calibration else None
     moves = bool(config.sensor_pose.endpoint)
     recorder = Recorder(directory, moves=moves, config=config_path, calibration=named)

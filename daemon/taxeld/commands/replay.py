@@ -23,7 +23,7 @@ from taxeld.proposals import bundle, several
 from taxeld.service import calibration_file
 from taxeld.service.clock import is_step
 from taxeld.skin.patches import Patches
-from taxeld.source import dialects, session
+from taxeld.source import module_order, session
 from taxeld.source.buses import Bus, joint
 from taxeld.source.session import Chunk, PoseRow
 from taxeld.source.source import Source
@@ -165,7 +165,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     """The outcome of each scan of a session.
 
     Raises:
-        SetupError: the session cannot be read, or its modules' order or boards are unknown.
+        SetupError: the session cannot be read, or its modules' order is unknown.
     """
     config, streams, firsts = pipeline.config, [], list[float]()
     for source, numbers in links.buses(config):
@@ -180,8 +180,8 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
             streams.append(_ordered(session.read_poses(path) if path.exists() else (), k))
         if recorded.items:  # else the session was cut before its first record
             firsts.append(recorded.items[0].t)
-            decoder = dialects.replayed(source, joint(own), recorded.items, str(place))
-            bus = Bus(Source(Wire(source, decoder)), numbers, own)
+            decoder = module_order.recorded(source, joint(own), recorded.items, str(place))
+            bus = Bus(Source(Wire(decoder)), numbers, own)
             streams.append(_ordered(recorded.items, bus))
     if not firsts:
         return

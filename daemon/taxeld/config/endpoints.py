@@ -44,7 +44,9 @@ def served_fault(endpoint: str, relay_key: str) -> str | None:
 def array_fault(endpoint: str) -> str | None:
     """Why arrays cannot be heard by `endpoint`; none come from beyond this machine."""
     if endpoint.startswith(UDP):
-        endpoint = endpoint.replace(UDP, TCP, 1)
+        return (
+            f"'{endpoint}' is of UDP, which is gone; have the sender bind a ZeroMQ PUB at {FORMS}"
+        )
     return fault(endpoint, has_keys=False)
 
 

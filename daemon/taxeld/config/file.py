@@ -8,7 +8,6 @@ from taxeld import files
 from taxeld.config import endpoints, links, toml_tables
 from taxeld.config.tables import SIZES, Config, SourceConfig
 from taxeld.config.toml_tables import ConfigError
-from taxeld_protocol import icub
 
 CONFIG_BYTES = 64_000  # ten times the length of a file from `taxeld init`, with all comments
 TOML_BYTES = 1_000_000  # limit for any other TOML file; a calibration has a line for each taxel
@@ -68,8 +67,6 @@ def parse(text: str, name: str = "configuration") -> Config:
     _check_source(config.source, faults)
     _check_scene(config, faults)
     _check_endpoints(config, faults)
-    if config.source.dialect == "icub":
-        _check_icub(config, faults)
     if faults:
         raise ConfigError(faults)
     return config
@@ -94,10 +91,6 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
         fault = endpoints.array_fault(source.endpoint)
         if fault:
             faults.append(f"source.endpoint: {fault}")
-    if source.modules and source.dialect != "cyskin":
-        faults.append("source.modules: is of dialect cyskin; icub names its boards")
-    if source.kind == "replay" and not source.path:
-        faults.append("source.path: is required for kind 'replay'")
 
 
 def _check_scene(config: Config, faults: list[str]) -> None:
@@ -154,19 +147,3 @@ def _for_this_user(config: Config) -> Config:
         publish=replace(config.publish, endpoints=tuple(map(own, config.publish.endpoints))),
         control=replace(config.control, endpoint=own(config.control.endpoint)),
     )
-
-
-def _check_icub(config: Config, faults: list[str]) -> None:
-    source, counts = config.source, config.skin.full_scale_counts
-    if source.kind == "serial" and source.framing == "native":
-        faults.append("source.dialect: icub is spoken on CAN alone; use framing 'slcan'")
-    if source.period_ms > icub.PERIOD_MAX_MS:
-        faults.append(
-            f"source.period_ms: must be 1..{icub.PERIOD_MAX_MS} with dialect icub, "
-            f"not {source.period_ms}"
-        )
-    if counts > icub.VALUE_MAX:
-        faults.append(
-            f"skin.full_scale_counts: must be 1..{icub.VALUE_MAX} with dialect icub, "
-            f"whose values have 8 bits, not {counts:g}"
-        )

@@ -1,17 +1,31 @@
 """What this version no longer has, each with what replaces it.
 
-A configuration's key (`table.key`), a command (`taxeld-hil draw`) or an option (`--truth`) that
-stands here is refused with its line. The table is emptied at the next minor version.
+A configuration's key (`table.key`) or its value (`table.key = "value"`), a command
+(`taxeld-hil draw`) or an option (`--truth`) that stands here is refused with its line. The table is
+emptied at the next minor version.
 """
+
+ICUB = "an iCub's skin comes as an array (docs/array.md)"
+SESSION = "'taxeld replay DIR' plays a session, and 'taxeld view DIR' shows it"
 
 GONE: dict[str, str] = {
     "advice": "taxeld advise CONFIG asks the daemon what it has felt, and advises; see its options",
     "taxeld-hil calibration": "taxeld calibrate SESSION --check judges a skin's own touches",
     "scene.max_objects": "one object is estimated; a second one shows as `other` or `moved`",
     "--histogram": "lat_us of 'taxeld status' and /taxeld/health has median, 99 % and the longest",
+    "source.dialect": ICUB,
+    "source.boards": ICUB,
+    "source.skin_type": ICUB,
+    "source.shift_bits": ICUB,
+    "source.offset_counts": ICUB,
+    "source.no_load_counts": ICUB,
+    'source.kind = "replay"': SESSION,
+    "source.path": SESSION,
+    "source.framing": 'an SLCAN adapter is kind = "can", interface = "slcan"',
+    "--dialect": ICUB,
 }
 
 
 def why(name: str) -> str | None:
-    """One line about a key, command or option that is gone; None where it never was."""
+    """One line about a key, value, command or option that is gone; None where it never was."""
     return f"{name}: is gone; {GONE[name]}" if name in GONE else None

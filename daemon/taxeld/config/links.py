@@ -59,8 +59,6 @@ def faults(config: Config) -> list[str]:
         ]
     shared = buses(config)
     for bus, (k, *_) in shared:
-        if bus.kind == "replay" and len(links) > 1:
-            found.append(f"skin[{k}].source.kind: 'replay' plays one link: use taxeld replay")
         if bus.kind in ("can", "serial") and not bus.channel and k:
             found.append(f"skin[{k}].source.channel: is required for kind '{bus.kind}'")
     places = [f"{bus.kind} {bus.where}" if bus.where else "" for bus, _ in shared]

@@ -8,22 +8,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from taxeld.config.toml_tables import Given, between, key, one_of, unwritten
-from taxeld_protocol import icub
 from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
 from taxeld_protocol.slcan import BITRATES
 
 SIZES = ("particles", "particles_max", "injected")  # keys of the filter's size
 OBJECTS_MAX = 16  # objects that one skin may touch
-KINDS = ("can", "serial", "array", "replay")  # of sources
+KINDS = ("can", "serial", "array")  # of sources
 LEVELS = ("debug", "info", "warning", "error")  # levels of the log
-
-
-def _boards(boards: tuple[int, ...]) -> str | None:
-    if len(set(boards)) == len(boards) and all(b in icub.BOARDS for b in boards):
-        return None
-    first, last = icub.BOARDS[0], icub.BOARDS[-1]
-    return f"must be different boards of {first}..{last}, not {list(boards)}"
 
 
 def _modules(modules: tuple[tuple[int, ...], ...]) -> str | None:
@@ -94,32 +86,12 @@ class SkinConfig:
 @dataclass(frozen=True, slots=True)
 class SourceConfig:
     kind: str = key(check=one_of(*KINDS), doc=", ".join(KINDS))
-    dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol: cyskin, icub")
-    boards: tuple[int, ...] = key(
-        (), _boards, "dialect icub: the part's boards, in its layout's order; empty: they are asked"
-    )
-    skin_type: int = key(
-        icub.SKIN_TYPE,
-        one_of(*icub.SKIN_TYPES),
-        "dialect icub: how boards make up for their temperature",
-    )
-    shift_bits: int = key(icub.SHIFT, between(0, 15), "dialect icub: bits a capacitance loses")
-    offset_counts: int = key(
-        icub.CDC_OFFSET, between(0, 0xFFFF), "dialect icub: offset of a capacitance"
-    )
-    no_load_counts: int = key(icub.NO_LOAD, between(0, 255), "dialect icub: an idle taxel's value")
     interface: str = key("socketcan", doc="kind can: socketcan, slcan, or any of python-can's")
-    channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
+    channel: str = key("", doc="kind can: can0, or an adapter's device; kind serial: the device")
     bitrate: int = key(1_000_000, one_of(*BITRATES), "bit/s of the CAN bus")
-    framing: str = key(
-        "native", one_of("native", "slcan"), "kind serial: packets in COBS, or SLCAN lines"
-    )
     baud: int = key(921_600, between(1200, 12_000_000), "kind serial: line speed, bit/s")
-    endpoint: str = key(
-        "", doc="kind array: ZeroMQ's of its sender, or udp://127.0.0.1:port to listen at"
-    )
+    endpoint: str = key("", doc="kind array: PUB endpoint of its sender")
     array: str = key("", doc="kind array: the id that is heard; empty: the first that comes")
-    path: str = key("", doc="kind replay: a session directory")
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")
     listen_only: bool = key(False, doc="never send: for a skin that something else started")
     modules: tuple[tuple[int, ...], ...] = key(
@@ -128,8 +100,8 @@ class SourceConfig:
 
     @property
     def where(self) -> str:
-        """A session, an endpoint or a device: where frames of this kind come from."""
-        return {"replay": self.path, "array": self.endpoint}.get(self.kind, self.channel)
+        """An endpoint or a device: where frames of this kind come from."""
+        return self.endpoint if self.kind == "array" else self.channel
 
 
 @dataclass(frozen=True, slots=True)

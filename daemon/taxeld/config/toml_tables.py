@@ -124,7 +124,7 @@ def _values(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> di
             known[name] = spec
     hints = get_type_hints(cls)
     for name in data.keys() - known:
-        if line := gone.why(re.sub(r"^skin\[\d+\]\.(?=source)|\[\d+\]", "", path + name)):
+        if line := _gone(path + name):
             faults.append(line)
             continue
         near = difflib.get_close_matches(name[:KEY_SHOWN], known, 1)
@@ -160,8 +160,13 @@ def _value(kind: Any, spec: Field[Any], value: Any, path: str, faults: list[str]
     check = spec.metadata["check"]
     fault = check(converted) if check and converted != spec.default else None
     if fault:
-        faults.append(f"{path}: {fault}")
+        faults.append(_gone(f'{path} = "{converted}"') or f"{path}: {fault}")
     return converted
+
+
+def _gone(what: str) -> str | None:
+    """The line about a key or value that is gone, whichever of several tables it stands in."""
+    return gone.why(re.sub(r"^skin\[\d+\]\.(?=source)|\[\d+\]", "", what))
 
 
 def _convert(kind: Any, value: Any) -> Any:

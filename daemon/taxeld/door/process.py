@@ -15,7 +15,7 @@ import zmq
 from taxeld.config import endpoints
 from taxeld.door import control, sandbox
 from taxeld.door.admission import Admission
-from taxeld.door.arrays import Datagrams, Published, open_arrays
+from taxeld.door.arrays import Published
 from taxeld.door.binding import Binding, NotNowError
 from taxeld.door.control import Control, MayChange, packed_error, packed_ok
 from taxeld.door.robot import Robot
@@ -68,7 +68,7 @@ class Door:
         self._bindings: list[Binding] = []
         self._unbound: list[tuple[Binding, zmq.Socket[Any]]] = []  # addresses to be tried again
         self._robot: Robot | None = None
-        self._array: Published | Datagrams | None = None
+        self._array: Published | None = None
         self._admission: Admission | None = None
         self._estimates = settings.estimates
         # all that is read of files comes before the process is confined
@@ -103,7 +103,7 @@ class Door:
         changed = self._end.fileno() in ready and self._take_from_loop(now_s)
         if self._robot is not None and self._robot.socket in ready:
             changed |= self._take_poses(self._robot, now_s)
-        if self._array is not None and self._array.waits_on in ready:
+        if self._array is not None and self._array.socket in ready:
             if self._robot is not None:  # a scan is placed by the poses before it
                 changed |= self._take_poses(self._robot, now_s)
             self._array.poll(now_s)
@@ -256,7 +256,7 @@ class Door:
             )
             self._report.robot = self._robot.line
         if settings.array:
-            self._array = open_arrays(context, settings.array, self._on_array)
+            self._array = Published(context, settings.array, self._on_array)
             self._report.array = self._array.line
 
     def _guard_of(self, endpoint: str) -> Admission | None:
@@ -315,7 +315,7 @@ class Door:
             if owner is not None:
                 self._poller.register(owner.socket, zmq.POLLIN)
         if self._array is not None:
-            self._poller.register(self._array.waits_on, zmq.POLLIN)
+            self._poller.register(self._array.socket, zmq.POLLIN)
 
     def _close_all(self) -> None:
         heard = self._robot, self._array

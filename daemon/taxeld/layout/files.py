@@ -1,5 +1,4 @@
-"""Layout files: CySkin's own robotskinlib JSON (version 2), iCub skin positions (`.txt`), and a
-plain table (`.csv`).
+"""Layout files: CySkin's own robotskinlib JSON (version 2), and a plain table (`.csv`).
 
 A reader returns the taxels of the file, in metres and in the file's frame, and counts what it left
 out. Any other content raises one ValueError that names the place.
@@ -21,15 +20,12 @@ from taxeld.arrays import Floats
 from taxeld.layout import normals
 from taxeld.layout.generated import TAXELS_PER_MODULE
 from taxeld.layout.layout import Provenance
-from taxeld_protocol.icub import THERMAL
 from taxeld_protocol.modules import NAMES
 
 MAX_TAXELS = 5000  # a link's skin has hundreds
 MISSING_ID = -1
 UID_BITS = 36  # SUI u32 << 4 | name
-TRIANGLE = 12  # slots of an iCub triangle
 COLUMNS = ["x", "y", "z", "nx", "ny", "nz"]  # of a plain table
-MIDDLE = 3  # slot of a triangle's middle taxel, which may stand for all ten
 NUMBER_MAX = 1e6
 METRES_MAX = 5.0  # m: a wider patch is in mm, as no link is 5 m wide and no module under 5 mm
 RIGID_TOLERANCE = 0.01  # files write 0.7071 for √½
@@ -44,7 +40,6 @@ class Patch:
     position_m: Floats  # (M, 3)
     normal: Floats  # (M, 3) unit; may point inwards
     source: Provenance
-    is_bare: bool = False  # the file has no normals: those of its cylinder are the best
 
 
 def read(path: Path) -> Patch:
@@ -79,14 +74,14 @@ class _Gathered:
     source: Provenance = field(default_factory=Provenance)
 
     def add(self, uid: int, position: list[float], normal: list[float], place: str) -> None:
-        """Add a taxel. Raises ValueError where the normal is zero, unless `place` is empty."""
-        if place and np.linalg.norm(normal) < NORMAL_MIN:
+        """Add a taxel. Raises ValueError where the file has normals, and this one is zero."""
+        if self.source.own_normals and np.linalg.norm(normal) < NORMAL_MIN:
             raise ValueError(f"{place}: the normal must not be zero; {_CURE}")
         self.uid.append(uid)
         self.position.append(position)
         self.normal.append(normal)
 
-    def patch(self, *, is_bare: bool = False) -> Patch:
+    def patch(self) -> Patch:
         source = self.source
         if not 0 < len(self.uid) <= MAX_TAXELS:
             raise ValueError(
@@ -103,11 +98,10 @@ class _Gathered:
         if source.parent is not None:
             source.parent[:3, 3] *= metres
         position = position * metres
-        source.own_normals = not normals.tells_none(position, normal)
         if not source.own_normals:
-            normal = normals.of_positions(position, normals.NEAR_BARE if is_bare else normals.NEAR)
+            normal = normals.of_positions(position)
         unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-        return Patch(np.array(self.uid, dtype=np.int64), position, unit, source, is_bare)
+        return Patch(np.array(self.uid, dtype=np.int64), position, unit, source)
 
 
 _CURE = "correct it, or mark the taxel as missing"
@@ -193,7 +187,8 @@ def _csv(text: str) -> Patch:
         *(numbers, ["uid", *numbers], [*numbers, "uid"]),
     ):
         raise ValueError(f"line 1: must be uid,{','.join(COLUMNS)}; uid or the n… may lack")
-    gathered, seen, is_bare = _Gathered(), set[int](), len(numbers) < len(COLUMNS)
+    gathered, seen = _Gathered(), set[int]()
+    gathered.source.own_normals = numbers == COLUMNS
     for number, words in enumerate(rows, 2):
         place, i = f"line {number}", len(seen)
         uid = (i // TAXELS_PER_MODULE + 1) << 4 | (i % TAXELS_PER_MODULE + 1)
@@ -204,62 +199,11 @@ def _csv(text: str) -> Patch:
                 raise ValueError(f"{place}: {_show(named)} is no UID, or one for the second time")
         seen.add(uid)
         row = _row(words, place, len(numbers))
-        gathered.add(uid, row[:3], row[3:] or [0.0] * 3, "" if is_bare else place)
-    return gathered.patch(is_bare=is_bare)
-
-
-def _icub(text: str) -> Patch:
-    """Read iCub positions: row i is slot i % 12 of triangle i // 12, triangles counted through the
-    part's boards. A UID is the triangle as the SUI, and the slot as the name.
-
-    A slot has no taxel where its row is all zeros, or where taxel2Repr has a negative entry: row by
-    row as iCub's own reader does, however many entries there are. The thermal pads follow from
-    these; but some files list them among a common triangle's taxels.
-    """
-    header, mark, text = text.partition("[calibration]")
-    if not mark:
-        raise ValueError("has no [calibration] rows; name an iCub skin positions file")
-    rows = [
-        (number, _row(words, f"line {number}"))
-        for number, line in enumerate(text.split("\n"), header.count("\n") + 1)
-        if (words := line.split())
-    ]
-    listed = _representatives(header)
-    bare = not any(any(row[3:]) for _, row in rows)  # no row has a normal
-    gathered = _Gathered()
-    for first in range(0, len(rows), TRIANGLE):
-        here = rows[first : first + TRIANGLE]
-        empty = [not any(row) for _, row in here]
-        no_taxels = _no_taxels(first, listed[first : first + TRIANGLE], empty)
-        placed = [i for i in range(len(here)) if not empty[i] and i not in no_taxels]
-        for slot in placed:
-            number, row = here[slot]
-            uid = first // TRIANGLE << 4 | slot
-            gathered.add(uid, row[:3], row[3:], "" if bare else f"line {number}")
-        gathered.source.missing += len(here) - len(placed)
-        gathered.source.pads += len(no_taxels) if placed else 0
+        gathered.add(uid, row[:3], row[3:] or [0.0] * 3, place)
     return gathered.patch()
 
 
-def _no_taxels(first: int, listed: list[int], empty: list[bool]) -> set[int]:
-    """The slots without a taxel in the triangle whose first row is `first`: by taxel2Repr as far as
-    it goes, else the empty rows. In a triangle that its own middle stands for, the thermal pads."""
-    negative = [middle < 0 for middle in listed] + empty[len(listed) :]
-    slots = {i for i, is_none in enumerate(negative[: len(empty)]) if is_none}
-    is_common = {middle for middle in listed if middle >= 0} == {first + MIDDLE}
-    return slots | {i for i in THERMAL if is_common and i < len(empty)}
-
-
-def _representatives(header: str) -> list[int]:
-    """The representative taxel of each slot, negative for no taxel; empty where not given."""
-    found = re.search(r"taxel2Repr\s*\(([^)]*)\)", header)
-    try:
-        return [int(word) for word in found[1].split()] if found else []
-    except ValueError:
-        raise ValueError("taxel2Repr: must be integers in ( … ); correct it") from None
-
-
-def _row(words: list[str], place: str, count: int = 6) -> list[float]:
+def _row(words: list[str], place: str, count: int) -> list[float]:
     try:
         values: Any = [float(word) for word in words]
     except ValueError:
@@ -288,4 +232,4 @@ def _show(value: Any) -> str:
     return reprlib.repr(value)
 
 
-READERS: dict[str, Callable[[str], Patch]] = {".json": _robotskinlib, ".txt": _icub, ".csv": _csv}
+READERS: dict[str, Callable[[str], Patch]] = {".json": _robotskinlib, ".csv": _csv}

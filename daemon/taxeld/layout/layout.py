@@ -17,12 +17,11 @@ class Provenance:
     """Facts about a layout from its file, beside its taxels."""
 
     unit: str = "m"  # m | mm: unit of the coordinates in the file
-    missing: int = 0  # entries without a taxel: id −1, temperatures and thermal pads, rows of zeros
+    missing: int = 0  # entries without a taxel: id −1, and temperatures
     cut: int = 0
     duplicates: int = 0  # taxels left out because their UID came before
-    pads: int = 0  # thermal pads among the missing, on triangles that have taxels
     parent: NDArray[np.float64] | None = None  # (4, 4) first parent frame's tf_matrix, in metres
-    own_normals: bool = True  # whether the file's normals tell more than one direction
+    own_normals: bool = True  # whether the file has normals
 
 
 @dataclass(frozen=True)

@@ -1,31 +1,13 @@
-"""Normals for a file that tells none: iCub's positions come without, or with one for all taxels.
-
-Normals are needed for the cylinder's axis, which a patch's own curvature tells as well.
-"""
+"""Normals for a file that has none: the cylinder's axis follows from them, and a patch's own
+curvature tells them."""
 
 import numpy as np
 
 from taxeld.arrays import Floats
 
-NEAR = 20  # taxels that make a tangent plane: two triangles, over which the link is nearly flat
-NEAR_BARE = 9  # the same in a table without normals, whose rows may be few
+NEAR = 9  # taxels that make a tangent plane, of a table whose rows may be few
 FLAT = 0.01  # share of a patch's width: a patch that is no deeper is a plane
-ONE_WAY = 1e-6  # normals that differ by no more count as one
-UPRIGHT = 0.5  # least cosine between a plane's normal and the file's, to take the file's for it
 SAME_M = 1e-6  # distances are compared to a micrometre: the same neighbours on any machine
-
-
-def tells_none(position_m: Floats, normal: Floats) -> bool:
-    """Whether a patch (M, 3) has no normals (M, 3), or one for all that is not the normal of a
-    plane through it."""
-    if not np.any(normal):
-        return True
-    if np.ptp(normal, axis=0).max() > ONE_WAY:
-        return False
-    widths, axes = _axes(position_m)
-    return not (
-        _is_plane(widths) and abs(normal[0] @ axes[2]) > UPRIGHT * np.linalg.norm(normal[0])
-    )
 
 
 def of_positions(position_m: Floats, near: int = NEAR) -> Floats:
@@ -35,7 +17,7 @@ def of_positions(position_m: Floats, near: int = NEAR) -> Floats:
     On a plane all are the same, and their largest component is positive.
     """
     widths, axes = _axes(position_m)
-    if _is_plane(widths):
+    if widths[2] <= FLAT * widths[0]:
         normal = axes[2]
         return np.tile(normal * np.sign(normal[np.abs(normal).argmax()]), (len(position_m), 1))
     outwards = position_m - position_m.mean(axis=0)
@@ -52,8 +34,3 @@ def _axes(points: Floats) -> tuple[Floats, Floats]:
     rows (3, 3), the widest first."""
     square, axes = np.linalg.eigh(np.cov(points.T, ddof=0))
     return np.sqrt(np.maximum(square[::-1], 0.0)), axes.T[::-1]
-
-
-def _is_plane(widths: Floats) -> bool:
-    """Whether points with these widths (3,) along their principal axes lie on a plane."""
-    return bool(widths[2] <= FLAT * widths[0])

@@ -41,7 +41,8 @@ def read(spec: str) -> Layout:
         if Path(spec).suffix.lower() not in files.READERS:
             raise ValueError(
                 f"'{spec}' is no known layout; use '{generated.EXAMPLES['cylinder']}', "
-                f"'{generated.EXAMPLES['wrap']}', a robotskinlib .json, an iCub .txt, or a .csv"
+                f"'{generated.EXAMPLES['wrap']}', a robotskinlib .json, or a .csv "
+                "(examples/icub_positions.py makes one of an iCub's .txt)"
             )
         return _of_patch(Path(spec).stem, files.read(Path(spec)))
     except ValueError as error:
@@ -54,7 +55,7 @@ def _of_patch(name: str, patch: files.Patch) -> Layout:
     turn, shift = fit.frame[:3, :3], fit.frame[:3, 3]
     position = patch.position_m @ turn.T + shift
     normal = np.where(fit.inwards[:, None], -patch.normal, patch.normal) @ turn.T
-    if patch.is_bare and math.isfinite(fit.radius_m):
+    if not patch.source.own_normals and math.isfinite(fit.radius_m):
         normal = position * (1.0, 1.0, 0.0)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), NEAR_AXIS_M)
     return Layout(

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from taxeld.config.file import text_of
-from taxeld.config.tables import Config, SkinConfig
+from taxeld.config.tables import SkinConfig
 from taxeld.config.toml_tables import ConfigError, between, key, parse
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.skin import state
 from taxeld.skin.calibration import Calibration
-from taxeld.source import session
 
 VERSION = 1
 MAX_AGE_DAYS = 180.0
@@ -139,18 +138,6 @@ def _fault(table: CalibrationTable, layout: Layout, full_scale_depth_m: float) -
             f"not {full_scale_depth_m:g}"
         )
     return ""
-
-
-def of(config: Config, layout: Layout) -> Calibration | None:
-    """The configured calibration, now, or when the session that is replayed was recorded.
-
-    Raises:
-        SetupError: as `load`.
-    """
-    if config.source.kind == "replay" and config.skin.calibration:
-        begun = session.begun(Path(config.source.path))
-        return load(config.skin, layout, begun, recorded=True)
-    return load(config.skin, layout, time.time())
 
 
 def load(

@@ -157,16 +157,15 @@ class Doorkeeper:
         return process
 
 
-def settings_of(config: Config, robot: str) -> Settings:
-    """What a configuration asks of the door; `robot`: the endpoint of the poses, empty where a
-    session has them."""
+def settings_of(config: Config) -> Settings:
+    """What a configuration asks of the door."""
     scans_hz = 1000.0 / config.source.period_ms
     messages_hz = 2.0 * scans_hz + max(config.publish.rate_hz, scans_hz)
     return Settings(
         publish=config.publish.endpoints,
         control=config.control.endpoint,
         change_group=config.control.group,
-        robot=robot,
+        robot=config.sensor_pose.endpoint,
         topics=_topics_of(config),
         array=_array_of(config),
         queue=max(round(QUEUE_S * messages_hz), QUEUE_LEAST),

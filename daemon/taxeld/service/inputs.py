@@ -23,10 +23,9 @@ GATHERS = 20  # looks at the device for further frames, GATHER_S apart
 class Inputs:
     """The sources of one run, and the watch over the first link's poses."""
 
-    def __init__(self, made: Prepared, robot: str) -> None:
-        """`robot`: the endpoint of its poses; empty where none is heard."""
-        self._made, self._robot = made, robot
-        self.watch = PoseWatch(robot, made.config.source.period_ms / 1000.0)
+    def __init__(self, made: Prepared) -> None:
+        self._made, self._robot = made, made.config.sensor_pose.endpoint
+        self.watch = PoseWatch(self._robot, made.config.source.period_ms / 1000.0)
         self.buses = list[Bus]()
 
     def open(self, link: Link, recorder: Recorder | None, opened: contextlib.ExitStack) -> None:
@@ -38,7 +37,7 @@ class Inputs:
 
         def open_one(config: SourceConfig, layout: Layout, first: int) -> Source:
             record = recorder.of(first) if recorder else None
-            source = open_source(config, layout, record, self._made.pipeline.poses.add, wait=True)
+            source = open_source(config, layout, record, wait=True)
             opened.callback(source.close)
             if source.comes_by_door:
                 link.on_array = source.hear
@@ -110,12 +109,6 @@ class Inputs:
     def poll(self, now_s: float) -> list[list[Scan]]:
         """The scans of each link that have come; `now_s` is monotonic."""
         return buses.polled(self.buses, now_s)
-
-    def clock_stepped(self, by: float) -> None:
-        """The Unix clock was set forward by `by` seconds."""
-        for source in self.sources:
-            source.clock_stepped(by)
-        self.watch.clock_stepped()
 
     def pose_figures(self, link: Link, t: float) -> PoseFigures:
         """Figures of the robot's poses at the Unix time t; to be called once a second."""

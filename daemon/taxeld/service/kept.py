@@ -26,9 +26,7 @@ FUTURE_S = 3600.0  # a time farther ahead was stored by a wrong clock, or is rea
 
 
 def directory(config: Config) -> Path | None:
-    """Where the file is; None: nowhere. A replayed session leaves no trace."""
-    if config.source.kind == "replay":
-        return None
+    """Where the file is; None: nowhere."""
     name = config.skin.state_dir or os.environ.get("STATE_DIRECTORY", "").split(":")[0]
     return Path(name) if name else None
 

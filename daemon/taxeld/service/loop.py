@@ -21,7 +21,7 @@ from taxeld.service.doorkeeper import Doorkeeper, settings_of
 from taxeld.service.inputs import Inputs
 from taxeld.service.kept import Store
 from taxeld.service.notify import Notifier
-from taxeld.service.prepare import digest, prepared, robot_of
+from taxeld.service.prepare import digest, prepared
 from taxeld.service.publisher import LoopCounters, Publisher
 from taxeld.service.ticker import ALL, Ready, Ticker, wait
 from taxeld.source.recorder import Recorder
@@ -46,10 +46,9 @@ class Daemon:
             SetupError: a part of it cannot be used.
         """
         self.stopping = False
-        config, robot = robot_of(config)
         with contextlib.ExitStack() as opened:
             # the door's process starts while the slow parts here load
-            door = Doorkeeper(settings_of(config, robot))
+            door = Doorkeeper(settings_of(config))
             self.door = opened.enter_context(contextlib.closing(door))
             made = prepared(config, recorder)
             self.config, self.layouts, self.pipeline = made.config, made.layouts, made.pipeline
@@ -60,7 +59,7 @@ class Daemon:
             self.start_s = time.monotonic()
             self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
             self._next_look_s = 0.0
-            self.inputs = Inputs(made, robot)
+            self.inputs = Inputs(made)
             self.kept = Store(self.config, self.pipeline)
             changes = {"tare": self.pipeline.tare, "reset": self._reset}
             self.link = Link(self._info(), self.inputs.on_pose, changes)
@@ -84,8 +83,7 @@ class Daemon:
         self.stopping = True
 
     def run(self, between: Callable[[], None] = lambda: None) -> None:
-        """Run until `stop`, or to the end of a replayed session; `between` is called between two
-        passes.
+        """Run until `stop`; `between` is called between two passes.
 
         Raises:
             SetupError: the source reports that no scan can ever be used.
@@ -123,8 +121,6 @@ class Daemon:
             fault = next((source.fault for source in sources if source.fault), "")
             if fault:
                 raise SetupError(fault)
-            if all(source.finished for source in sources) and not self.pipeline.has_waiting:
-                break
             ready = self._wait(ticker)
 
     def _wait(self, ticker: Ticker) -> Ready:
@@ -149,7 +145,7 @@ class Daemon:
         wall_s, stepped = self.clock.read()
         if stepped:
             self.pipeline.clock_stepped(stepped)
-            self.inputs.clock_stepped(stepped)
+            self.inputs.watch.clock_stepped()
         if self.inputs.come_by_door:
             self._look_at_door(now_s, asked=ready.door)
         scans = self.inputs.poll(now_s)

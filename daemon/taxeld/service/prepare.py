@@ -2,8 +2,7 @@
 
 import hashlib
 import time
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, dataclass
 
 from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
@@ -12,7 +11,6 @@ from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import choice, several
 from taxeld.proposals.bundle import Bundle
 from taxeld.service import calibration_file
-from taxeld.source import session
 from taxeld.source.recorder import Recorder
 
 
@@ -24,16 +22,6 @@ class Prepared:
     layouts: list[Layout]  # of each link
     bundles: list[Bundle]  # of each object
     pipeline: Pipeline
-
-
-def robot_of(config: Config) -> tuple[Config, str]:
-    """The configuration, and the endpoint of the robot that is heard: none where the poses of a
-    replayed session take its place."""
-    recorded = Path(config.source.path)
-    if config.source.kind != "replay" or not session.has_poses(recorded):
-        return config, config.sensor_pose.endpoint
-    where = replace(config.sensor_pose, endpoint=config.source.path)
-    return replace(config, sensor_pose=where), ""
 
 
 def prepared(config: Config, recorder: Recorder | None) -> Prepared:
@@ -51,7 +39,10 @@ def prepared(config: Config, recorder: Recorder | None) -> Prepared:
         [one.model for one in bundles],
         choice.samples(bundles, config, time.perf_counter_ns),
         [recorder.of(k).pose for k in range(len(skins))] if recorder else (),
-        [calibration_file.of(*each) for each in zip(config.each, skins, strict=True)],
+        [
+            calibration_file.load(one.skin, layout, time.time())
+            for one, layout in zip(config.each, skins, strict=True)
+        ],
     )
     pipeline.thinks_at_once = False
     return Prepared(config, skins, bundles, pipeline)

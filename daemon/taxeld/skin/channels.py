@@ -32,8 +32,8 @@ class Wiring:
         self.suis: list[int] = suis.tolist()  # serial number of each module
         self.module: Index = module.astype(np.intp)  # (M,) module of each taxel
         self._taxel = {int(uid): i for i, uid in enumerate(layout.uid)}
-        # An iCub taxel may have the name of a temperature; the layout then decides that it is a
-        # taxel.
+        # A taxel of an array may have the name of a temperature; then the layout says that it is
+        # a taxel.
         self._t0 = {
             sui << 4 | TEMPERATURE: m
             for m, sui in enumerate(self.suis)

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 
 from taxeld.config.tables import SourceConfig
+from taxeld.layout.layout import Layout
 from taxeld.source.recorder import Recorder
 from taxeld.source.source import Source
 from taxeld.source.wire import Wire
@@ -27,11 +28,9 @@ class ArraySource(Source):
     is_busy = False  # the loop waits for the door
     comes_by_door = True
 
-    def __init__(
-        self, config: SourceConfig, decoder: ArrayDecoder, recorder: Recorder | None
-    ) -> None:
-        super().__init__(Wire(config, decoder))
-        self._decoder = decoder
+    def __init__(self, config: SourceConfig, layout: Layout, recorder: Recorder | None) -> None:
+        self._decoder = ArrayDecoder(layout.uid.tolist(), config.array)
+        super().__init__(Wire(self._decoder))
         self._endpoint = config.endpoint
         self._recorder = recorder
         self._held: deque[ArrayFrame] = deque(maxlen=HELD_MAX)

@@ -16,7 +16,6 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source.bus_faults import BusFault, kinds
 from taxeld.source.device import BusDevice, first_line, unopened
-from taxeld.source.dialects import ToFrames
 from taxeld_protocol.frames import Frame
 
 INTERFACES = sorted(can.VALID_INTERFACES)
@@ -40,9 +39,9 @@ LOOK_S = 1.0  # time between two looks at an interface's state
 class CanDevice(BusDevice):
     """A bus of python-can. A bus without a descriptor is polled at each tick."""
 
-    def __init__(self, config: SourceConfig, to_frames: ToFrames) -> None:
+    def __init__(self, config: SourceConfig) -> None:
         """Raises SetupError where the bus cannot be opened."""
-        super().__init__(to_frames)
+        super().__init__()
         self._bus = _open_bus(config)
         self._is_as_the_kernel = config.interface in AS_THE_KERNEL
         self._state = can.BusState.ACTIVE  # state of the interface, when last looked

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 
 from taxeld.errors import SetupError
 from taxeld.source.bus_faults import BusFault
-from taxeld.source.dialects import ToFrames
 from taxeld.source.session import Chunk
+from taxeld_protocol import cyskin
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER
 from taxeld_protocol.frames import Frame
 
 FRAMES_PER_POLL = 1000  # limit on a pass, so that a flooded bus cannot hold the loop
@@ -49,6 +50,13 @@ class AwayError(SetupError):
 
 class BusyError(AwayError):
     """A device that another process has open."""
+
+
+def frames_of(to: int, body: bytes) -> list[Frame]:
+    """A request, as the bring-up makes it, as frames of a bus."""
+    if to == LEAVE_BOOTLOADER:
+        return cyskin.to_frames(to, ihb=BROADCAST)
+    return cyskin.to_frames(body[0], body[1:], ihb=to)
 
 
 def unopened(where: str, error: Exception) -> SetupError:
@@ -129,9 +137,8 @@ class Device(ABC):
 class BusDevice(Device):
     """A CAN interface that gives and takes one frame after the other."""
 
-    def __init__(self, to_frames: ToFrames) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._to_frames = to_frames
         self._fault: OSError | None = None  # reported after the frames that came before it
 
     def read(self) -> list[Frame]:
@@ -156,7 +163,7 @@ class BusDevice(Device):
         return frames
 
     def pack(self, to: int, body: bytes) -> Sequence[Piece]:
-        return self._to_frames(to, body)
+        return frames_of(to, body)
 
     def put(self, piece: Piece) -> None:
         assert isinstance(piece, Frame)  # noqa: S101  (as packed)

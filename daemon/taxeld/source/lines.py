@@ -9,7 +9,6 @@ import serial
 
 from taxeld.config.tables import SourceConfig
 from taxeld.source.device import Device, LostError, Piece, unopened
-from taxeld.source.dialects import ToFrames
 from taxeld.source.session import Chunk
 from taxeld_protocol import serial_link, slcan
 from taxeld_protocol.cyskin import LEAVE_BOOTLOADER
@@ -93,7 +92,7 @@ class SerialLine(Device):
 class SerialDevice(SerialLine):
     """A hub's own link on a serial line."""
 
-    def __init__(self, config: SourceConfig, _: ToFrames) -> None:
+    def __init__(self, config: SourceConfig) -> None:
         super().__init__(config.channel, config.baud)
 
     def read(self) -> list[Chunk]:

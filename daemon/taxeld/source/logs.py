@@ -17,8 +17,6 @@ from typing import TYPE_CHECKING, BinaryIO
 from taxeld.errors import SetupError, one_line
 from taxeld.source.session import SERIAL_COLUMNS, Chunk
 from taxeld_protocol.frames import Frame, Logged, parse_log_line
-from taxeld_protocol.serial_link import SerialReader
-from taxeld_protocol.slcan import SlcanReader
 
 if TYPE_CHECKING:
     import can
@@ -59,21 +57,6 @@ def frames(path: Path, damage: Damage) -> Iterator[Logged]:
     if _ending(path) in PYTHON_CAN:
         return _by_python_can(path)
     return _candump(path, damage)
-
-
-def framing(path: Path) -> str:
-    """The framing of a line, `slcan` or `native`, by the first frame or packet.
-
-    Raises:
-        SetupError: the file is unreadable, or has neither.
-    """
-    slcan, native = SlcanReader(), SerialReader()
-    for _, data in chunks(path, Damage()):
-        if slcan.feed(data, 0.0):
-            return "slcan"
-        if native.feed(data, 0.0):
-            return "native"
-    raise SetupError(f"{path}: has neither an SLCAN frame nor a packet of a hub's serial link")
 
 
 def chunks(path: Path, damage: Damage) -> Iterator[Chunk]:

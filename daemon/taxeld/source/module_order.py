@@ -14,6 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.source.session import Items
 from taxeld.source.wire import Wire
+from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import Module, listed
 
@@ -47,14 +48,14 @@ class ListedModules:
 class RecordedModules:
     """The modules found in a recording, or listed by `source.modules`."""
 
-    def __init__(self, config: SourceConfig, given: ListedModules, items: Items, what: str) -> None:
+    def __init__(self, given: ListedModules, items: Items, what: str) -> None:
         """`what`: name of the recording in messages.
 
         Raises:
             SetupError: the modules of the first scan are unknown.
         """
-        self._config, self._given, self._items, self._what = config, given, items, what
-        wire = Wire(config, Decoder(self.of))
+        self._given, self._items, self._what = given, items, what
+        wire = Wire(Decoder(self.of))
         any(heard.scans for item in items for heard in wire.take([item]))  # up to the first scan
 
     def of(self, ihb: int) -> list[Module]:
@@ -73,8 +74,23 @@ class RecordedModules:
     @cached_property
     def _declared(self) -> dict[int, list[Module]]:
         decoder = Decoder()
-        Wire(self._config, decoder).take(self._items)
+        Wire(decoder).take(self._items)
         return _placed(decoder)
+
+
+def recorded(
+    config: SourceConfig, layout: Layout, items: Items, what: str
+) -> Decoder | ArrayDecoder:
+    """The decoder of a recording, named by `what`. It raises SetupError later on for a hub whose
+    modules are unknown.
+
+    Raises:
+        SetupError: the modules of the first scan are unknown.
+    """
+    if items and isinstance(items[0], ArrayFrame):
+        return ArrayDecoder(layout.uid.tolist(), config.array)
+    known = RecordedModules(given(config, layout), items, what)
+    return Decoder(known.of, config.period_ms / 1000.0)
 
 
 def given(config: SourceConfig, layout: Layout) -> ListedModules:

@@ -9,7 +9,7 @@ from taxeld.source.bring_up import Request
 from taxeld.source.device import Device, Piece
 from taxeld_protocol.frames import Frame
 
-MOST = 128  # requests that wait; a bring-up of iCub boards sends 14 at a time
+MOST = 128  # requests that wait; a bring-up has a few at a time
 PATIENCE_S = 0.5  # a request that waited longer is dropped: the bring-up asks again
 
 

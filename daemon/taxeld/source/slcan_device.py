@@ -14,10 +14,8 @@ import time
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source.bus_faults import BusFault
-from taxeld.source.device import LostError, Piece
-from taxeld.source.dialects import ToFrames
+from taxeld.source.device import LostError, Piece, frames_of
 from taxeld.source.lines import SerialLine, line_speed
-from taxeld.source.session import Chunk
 from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame
 
@@ -68,16 +66,12 @@ def adapter_line(channel: str) -> tuple[str, int]:
 
 
 class SlcanDevice(SerialLine):
-    """An SLCAN adapter. As source.kind can it is a bus, whose frames are recorded; as kind serial a
-    line, whose bytes are recorded."""
+    """`source.interface = "slcan"`."""
 
-    def __init__(self, config: SourceConfig, to_frames: ToFrames) -> None:
+    def __init__(self, config: SourceConfig) -> None:
         """Raises SetupError where the line cannot be opened."""
-        self._is_bus = config.kind == "can"
-        line = adapter_line(config.channel) if self._is_bus else (config.channel, config.baud)
-        super().__init__(*line)
-        self._where = line[0]
-        self._to_frames = to_frames
+        self._where, baud = adapter_line(config.channel)
+        super().__init__(self._where, baud)
         self._reader = slcan.SlcanReader()
         self._listen_only = config.listen_only
         quiet = (LISTEN, SILENT) if self._listen_only else (NORMAL,)
@@ -91,7 +85,7 @@ class SlcanDevice(SerialLine):
         self._frame_came = False  # whether a frame came since the last `tend`
         self._complained: set[bytes] = set()  # first letters of refused lines that were logged
 
-    def read(self) -> list[Frame] | list[Chunk]:
+    def read(self) -> list[Frame]:
         data, now = self._receive(), time.time()
         lines = self._reader.lines(data)
         for line in lines:
@@ -106,12 +100,9 @@ class SlcanDevice(SerialLine):
                 self.noticed.bus.update(fault for bits, fault in FLAGGED.items() if flags & bits)
             elif len(line) >= SHORTEST and line.startswith(FRAMES):
                 self._frame_came = True
-        if not self._is_bus:  # the wire parses the bytes, as it does for a recording
-            return [Chunk(now, data)] if data else []
-        counters = self._reader.counters
-        foreign = counters.foreign
+        foreign = self._reader.foreign
         frames = self._reader.frames(lines, now)
-        self.noticed.foreign += counters.foreign - foreign
+        self.noticed.foreign += self._reader.foreign - foreign
         return frames
 
     def tend(self, now_s: float) -> None:
@@ -130,15 +121,15 @@ class SlcanDevice(SerialLine):
             self._step_s = self._heard_s = now_s
             self._send_rest()
 
-    def pack(self, to: int, body: bytes) -> list[Frame] | list[bytes]:
-        frames = self._to_frames(to, body)
-        return frames if self._is_bus else [slcan.encode(frame) for frame in frames]
+    def pack(self, to: int, body: bytes) -> list[Frame]:
+        return frames_of(to, body)
 
     def put(self, piece: Piece) -> None:
         if self._steps:
             raise BlockingIOError
         super().put(piece)
-        self._line = slcan.encode(piece) if isinstance(piece, Frame) else piece
+        assert isinstance(piece, Frame)  # noqa: S101  (as packed)
+        self._line = slcan.encode(piece)
 
     def close(self, wait_s: float = 0.0) -> None:
         with contextlib.suppress(OSError, termios.error):

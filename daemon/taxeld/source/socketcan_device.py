@@ -13,7 +13,6 @@ import struct
 from taxeld.config.tables import SourceConfig
 from taxeld.source.bus_faults import BusFault, kinds
 from taxeld.source.device import AwayError, BusDevice, unopened
-from taxeld.source.dialects import ToFrames
 from taxeld_protocol.frames import Frame
 
 SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40  # Python has no names for them
@@ -30,9 +29,9 @@ _CONTROL_BYTES = socket.CMSG_SPACE(_STAMP.size) + socket.CMSG_SPACE(_LOST.size)
 class SocketCanDevice(BusDevice):
     """`source.interface = "socketcan"`."""
 
-    def __init__(self, config: SourceConfig, to_frames: ToFrames) -> None:
+    def __init__(self, config: SourceConfig) -> None:
         """Raises SetupError where there is no such interface."""
-        super().__init__(to_frames)
+        super().__init__()
         self._socket = opened(config)
         self._socket.setblocking(False)
         for option in (SO_TIMESTAMPNS, SO_RXQ_OVFL):

@@ -25,9 +25,8 @@ class Source:
     """A source of scans, which is polled at every pass."""
 
     device: Device | None = None  # the open device; the loop waits on its descriptor
-    comes_by_door = False  # whether the door hears it, and hands its frames to `hear`
+    comes_by_door = False  # whether its frames come by the door, which gives them to `hear`
     is_busy = True  # whether it must be polled at every tick, as no descriptor would wake the loop
-    finished = False  # whether nothing more will ever come
     waits_for = ""  # a line on why no scans come; empty where nothing is amiss
     fault = ""  # a line on why no scan can ever be used; empty where nothing is amiss
     firmware: Mapping[str, str] = MappingProxyType({})  # short id of a hub → its versions, in words
@@ -50,11 +49,8 @@ class Source:
         """A frame of an array has come by the door."""
 
     def heed(self, *, connected: bool, malformed: int, reason: str) -> None:
-        """The door's report on an array: whether somebody is there, the number of messages that
-        were none, and why the last was none."""
-
-    def clock_stepped(self, by: float) -> None:
-        """The Unix clock was set forward by `by` seconds."""
+        """The door's report on an array: whether somebody sends it, the number of messages that
+        were no arrays, and why the last of them was not."""
 
     def close(self) -> None:
         """Stop the skin and close the device, if there is one."""

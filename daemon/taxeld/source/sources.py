@@ -1,4 +1,4 @@
-"""Sources of scans: a CAN interface, a serial line, an array, or a recorded session.
+"""Sources of scans: a CAN interface, a serial line, or an array.
 
 A source is polled at every pass of the loop and never blocks. A device that is gone, or not there
 yet, is opened again with growing pauses, and the skin on it is brought up anew; damaged input is
@@ -9,30 +9,30 @@ import contextlib
 import logging
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.source import dialects, session
+from taxeld.source import module_order
 from taxeld.source.array_source import ArraySource
+from taxeld.source.bring_up import BringUp
 from taxeld.source.device import AwayError, Device, LostError, Noticed
 from taxeld.source.devices import open_device
-from taxeld.source.dialects import Dialect, ToFrames
+from taxeld.source.module_order import Listening
 from taxeld.source.outbox import PATIENCE_S, Outbox
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk, Items, Session, joined
+from taxeld.source.session import Chunk, Items, joined
 from taxeld.source.source import Source
 from taxeld.source.wire import Wire
-from taxeld_protocol.decoder import Scan
+from taxeld_protocol import cyskin
+from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Frame
-
-OnPose = Callable[[float, float, float, float], None]
+from taxeld_protocol.modules import NAMES, wired
 
 REOPEN_S = (0.2, 1.0)  # first and longest pause before a lost device is opened again
 CLOSE_S = 0.2  # time for the last requests to leave the device
+FRAME_BITS = 116  # a frame with 8 bytes and a short id, with the stuff bits of usual readings
 
 log = logging.getLogger(__name__)
 
@@ -41,26 +41,58 @@ def open_source(
     config: SourceConfig,
     layout: Layout,
     recorder: Recorder | None = None,
-    on_pose: OnPose | None = None,
     *,
     wait: bool = False,
 ) -> Source:
-    """The configured source. `recorder` gets all frames or bytes of the wire, `on_pose` the sensor
-    poses (t, x, y, θ) of a recorded session. With `wait`, a missing or busy device is opened as
-    soon as possible, instead of raising.
+    """The configured source. `recorder` gets all frames or bytes of the wire. With `wait`, a
+    missing or busy device is opened as soon as possible, instead of raising.
 
     Raises:
-        SetupError: the device or session cannot be opened.
+        SetupError: the device cannot be opened.
     """
-    if config.kind == "replay":
-        recorded = session.read(Path(config.path))
-        if not recorded.items:
-            raise SetupError(f"source.path: {config.path} was cut before its first frame")
-        wire = Wire(config, dialects.replayed(config, layout, recorded.items, config.path))
-        return ReplaySource(recorded, wire, on_pose)
     if config.kind == "array":
-        return ArraySource(config, dialects.of_array(config, layout), recorder)
-    return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
+        return ArraySource(config, layout, recorder)
+    return LiveSource(config, layout, open_device, recorder, wait=wait)
+
+
+def live(config: SourceConfig, layout: Layout) -> tuple[Decoder, BringUp | None]:
+    """The decoder of a live skin, and its bring-up; None where something else starts the skin.
+
+    Raises:
+        SetupError: the layout is no hub's, its scans are more than the bus carries, or none of the
+            listed modules is in it.
+    """
+    least_ms = least_period_ms(config, layout)
+    if config.period_ms < least_ms:
+        rate = 1000 * _frames(layout) / config.period_ms
+        raise SetupError(
+            f"source.period_ms: {len(wired(layout.uid.tolist()))} modules every {config.period_ms} "
+            f"ms are {rate:.0f} frames/s, and a bus of {config.bitrate} bit/s carries "
+            f"{config.bitrate // FRAME_BITS}: at least {least_ms} ms"
+        )
+    if any(int(uid) & 0xF >= NAMES for uid in layout.uid):
+        raise SetupError(
+            "skin.layout: its UIDs are of no module, which has taxels "
+            f"1..{NAMES - 1}: it is of an array (source.kind)"
+        )
+    period_s = config.period_ms / 1000.0
+    if config.listen_only:
+        return Decoder(module_order.given(config, layout).of, period_s), None
+    # a bring-up asks the hubs for their modules, so the decoder must not guess them
+    decoder = Decoder(period_s=period_s)
+    return decoder, BringUp(decoder, config.period_ms, {int(uid) >> 4 for uid in layout.uid})
+
+
+def least_period_ms(config: SourceConfig, layout: Layout) -> int:
+    """The shortest period at which a CAN bus carries the layout's scans; 0 without a bus."""
+    if config.kind == "serial":
+        return 0
+    return math.ceil(1000 * _frames(layout) * FRAME_BITS / config.bitrate)
+
+
+def _frames(layout: Layout) -> int:
+    """The least frames of a scan."""
+    return cyskin.scan_frames(sum(module.channels for module in wired(layout.uid.tolist())))
 
 
 class LiveSource(Source):
@@ -69,17 +101,17 @@ class LiveSource(Source):
     def __init__(
         self,
         config: SourceConfig,
-        dialect: Dialect,
-        device: Callable[[SourceConfig, ToFrames], Device],
+        layout: Layout,
+        device: Callable[[SourceConfig], Device],
         recorder: Recorder | None,
         *,
         wait: bool = False,
     ) -> None:
-        super().__init__(Wire(config, dialect.decoder))
-        self._open: Callable[[], Device] = lambda: device(config, dialect.to_frames)
+        self._decoder, self._bring_up = live(config, layout)
+        super().__init__(Wire(self._decoder))
+        self._open: Callable[[], Device] = lambda: device(config)
         self._recorder = recorder
-        self._bring_up = dialect.bring_up
-        self._listening = dialect.listening
+        self._listening = Listening(self._decoder)
         self._outbox: Outbox | None = None
         self._held: Items = []  # items read from the device and not decoded yet
         self._failed: LostError | None = None  # loss of the device, after the held items
@@ -146,11 +178,10 @@ class LiveSource(Source):
             scans += ended
             if packet is not None and bring_up is not None:
                 bring_up.on_packet(packet)
-        lacks = ""
         if bring_up is not None:
             if not outbox:
                 self._sent_s = now_s
-            # until a request has left, no time passes for the bring-up, whose pauses follow it
+            # the bring-up's clock stops while requests wait to be sent
             waits = bool(outbox) and now_s < self._sent_s + PATIENCE_S
             self._behind_s = now_s - self._due_s if waits else self._behind_s
             self._due_s = now_s - self._behind_s
@@ -161,7 +192,7 @@ class LiveSource(Source):
             for line in bring_up.news():
                 log.info("%s", line)
             lacks, device.is_starting = bring_up.waits_for, bring_up.is_starting
-        if self._listening is not None:
+        else:
             self.fault, lacks = self._listening.fault(now_s), self._listening.refusal
         device.tend(now_s)
         self._follow(device, now_s)
@@ -190,7 +221,7 @@ class LiveSource(Source):
         noticed, device.noticed = device.noticed, Noticed()
         self.bus.take(noticed.bus, now_s)
         for _ in range(noticed.foreign):
-            self.wire.decoder.drop_foreign()
+            self._decoder.drop_foreign()
         for line in noticed.lines:
             log.warning("%s", line)
 
@@ -251,41 +282,3 @@ class LiveSource(Source):
             log.warning("%s", line)
         elif before and not line:
             log.info("no longer: %s", before)
-
-
-class ReplaySource(Source):
-    """A recorded session at its own pace, which ticks give, its times moved to now."""
-
-    def __init__(self, recorded: Session, wire: Wire, on_pose: OnPose | None) -> None:
-        super().__init__(wire)
-        self._shift_s: float | None = None  # Unix time less recorded time, from the first poll
-        self._items = recorded.items
-        self._at = 0
-        self._poses = deque(recorded.poses if on_pose else [])
-        self._on_pose = on_pose
-        self._start_s = 0.0
-
-    @property
-    def finished(self) -> bool:  # type: ignore[override]
-        return self._at >= len(self._items)
-
-    def poll(self, now_s: float) -> list[Scan]:
-        first_t = self._items[0].t
-        if self._shift_s is None:
-            self._shift_s = time.time() - first_t
-            self._start_s = now_s
-        until = first_t + now_s - self._start_s
-        while self._on_pose and self._poses and self._poses[0][0] <= until:
-            t, x, y, theta = self._poses.popleft()
-            self._on_pose(t + self._shift_s, x, y, theta)
-        scans: list[Scan] = []
-        while not self.finished and self._items[self._at].t <= until:
-            item = self._items[self._at]
-            for heard in self.wire.take([item._replace(t=item.t + self._shift_s)]):
-                scans += heard.scans
-            self._at += 1
-        return scans
-
-    def clock_stepped(self, by: float) -> None:
-        if self._shift_s is not None:
-            self._shift_s += by

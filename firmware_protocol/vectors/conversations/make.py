@@ -155,7 +155,6 @@ def conversation(
     device = {"uid": UID, "short_id": short_id, "state": state, "modules": told}
     return {
         "about": about,
-        "dialect": "cyskin",
         "host": {"period_ms": 50},
         "devices": [device],
         "script": script,

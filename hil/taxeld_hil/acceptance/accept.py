@@ -88,7 +88,7 @@ def source_of(target: str, period_ms: int) -> SourceConfig:
     if not kind or not channel:
         raise SetupError(
             f"TARGET: '{target}' is none; use can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, "
-            "array:udp://127.0.0.1:9870, or a python-can interface and its channel, as "
+            "array:tcp://127.0.0.1:9870, or a python-can interface and its channel, as "
             "pcan:PCAN_USBBUS1"
         )
     if kind == "array":

@@ -80,7 +80,7 @@ def subjects(asked: Asked, place: Path) -> dict[str, Scenario]:
     if not DEPTHS_M[0] <= depth_m <= DEPTHS_M[1]:
         raise SetupError(f"--depth-mm: must be 0.1..50, not {1e3 * depth_m:g}")
     own_spec = found.layout
-    if not (layout.uid & 0xF).all():  # iCub's: on these wires name 0 is a temperature
+    if not (layout.uid & 0xF).all():  # on a bus the name 0 is a temperature's
         own_spec = _written(layout, 1, place)
     made = {"as it is": _of(demo, found, own_spec, height_m, depth_m, place)}
     if 2 * len(np.unique(layout.uid >> 4)) <= MAX_MODULES:

@@ -15,9 +15,8 @@ from taxeld.proposals import several
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.state import SkinState
-from taxeld.source import buses, dialects
+from taxeld.source import buses
 from taxeld.source.array_source import ArraySource
-from taxeld.source.dialects import ToFrames
 from taxeld.source.source import Source
 from taxeld.source.sources import LiveSource
 from taxeld.stream import messages
@@ -102,10 +101,10 @@ class FakeDaemon:
 def _source(config: SourceConfig, skin: Layout, line: MemoryLine) -> Source:
     """The daemon's end of a line. Raises SetupError where the bus cannot carry the scans."""
 
-    def device(_: SourceConfig, __: ToFrames) -> MemoryDevice:
+    def device(_: SourceConfig) -> MemoryDevice:
         return MemoryDevice(line)
 
     if not line.rig.is_array:
-        return LiveSource(config, dialects.live(config, skin), device, None)
+        return LiveSource(config, skin, device, None)
     line.ask(BROADCAST, bytes((Command.SET_AUTO_SYNC, 1)))  # as a subscription does
-    return ArraySource(config, dialects.of_array(config, skin), None)
+    return ArraySource(config, skin, None)
