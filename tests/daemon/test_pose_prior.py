@@ -10,7 +10,6 @@ from taxeld.estimator.prior_term import PriorTerm, TableTop
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld.prior import PosePrior, read_prior
-from taxeld.stream import pair
 from tests.rig.pressed_box import TRUTH, World, estimator
 
 SD = [0.02, 0.02, 0.1]
@@ -50,13 +49,6 @@ def test_what_is_none_is_said_in_a_line(keys: dict[str, object], says: str) -> N
     assert isinstance(found, str)
     assert says in found
     assert "\n" not in found
-
-
-def test_the_door_passes_it_on_whole() -> None:
-    pose = prior(theta=None, weight=0.5, object="mug")
-    number, found = pair.unpack_prior(pair.pack_prior(pose, 3))
-    assert (number, math.isnan(found.theta)) == (3, True)
-    assert (found.cov, found.weight, found.object) == (pose.cov, 0.5, "mug")
 
 
 @pytest.mark.parametrize("theta", [0.3, None])

@@ -36,10 +36,13 @@ class Stand(contextlib.ExitStack):
         served = {"publish": (self.stream,), "control": self.control, "robot": ""} | settings
         self.poses: list[tuple[float, float, float, float]] = []
         self.done: list[str] = []
-        changes = {name: lambda name=name: self.done.append(name) for name in ("tare", "reset")}
-        self.link = Link(INFO, lambda *pose: self.poses.append(pose), changes)
+        changes: dict[str, Any] = {
+            name: lambda name=name: self.done.append(name) for name in ("tare", "reset")
+        }
         self.priors: list[PosePrior] = []
-        self.link.on_prior = self._on_prior
+        changes["prior"] = self._prior
+        self.link = Link(INFO, self._on_pose, changes)
+        self.further: list[tuple[float, float, float, float]] = []  # poses of further links
         group = {"change_group": "", "queue": QUEUE}
         self.keeper = Doorkeeper(Settings(**group | served))
         self.callback(self.keeper.close)
@@ -60,7 +63,11 @@ class Stand(contextlib.ExitStack):
         assert process is not None
         return process.pid
 
-    def _on_prior(self, pose: PosePrior) -> str:
+    def _on_pose(self, t: float, x: float, y: float, theta: float, link: int) -> None:
+        (self.further if link else self.poses).append((t, x, y, theta))
+
+    def _prior(self, **given: Any) -> str:
+        pose = PosePrior(**given)
         self.priors.append(pose)
         return "" if pose.object != "cup" else "no object cup"
 

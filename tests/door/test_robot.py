@@ -10,8 +10,8 @@ from typing import Any
 import msgpack
 import pytest
 
+from taxeld.door.heard import REASON_MAX
 from taxeld.door.robot import as_pose
-from taxeld.stream.link import REASON_MAX
 
 from ..rig.processes import program
 from . import attacks
@@ -58,15 +58,13 @@ def test_the_poses_of_another_arm_are_not_taken(robot: Robot) -> None:
 def test_poses_of_a_further_link_come_by_its_own_topic(tmp_path: Path) -> None:
     endpoint, topics = robots_endpoint(), ("/robot/sensor_pose", "/robot/wrist")
     with Stand(tmp_path, robot=endpoint, topics=topics) as stand:
-        further: list[tuple[float, ...]] = []
-        stand.link.on_poses[1] = lambda *given: further.append(given)
         robot = Robot(stand, endpoint)
         robot.socket.bind(endpoint)
         robot.until_heard(0.0)
         robot.socket.send_multipart([b"/robot/wrist", *pose(7.0)[1:]])
-        stand.until(lambda: bool(further))
+        stand.until(lambda: bool(stand.further))
         robot.until_heard(1.0)
-    assert [p[1] for p in further] == [7.0]
+    assert [p[1] for p in stand.further] == [7.0]
     assert {p[1] for p in stand.poses} == {0.0, 1.0}
 
 

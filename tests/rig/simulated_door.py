@@ -6,11 +6,10 @@ import os
 from dataclasses import asdict
 from typing import Any
 
-import msgpack
-
 from taxeld.stream import pair
 from taxeld.stream.link import Report
 from taxeld.stream.pair import Kind
+from taxeld.stream.topics import TOPICS
 from tests.rig.simulated_world import World
 
 START_S, SLOW_S = 0.15, 0.1  # until it is ready, and between packets that a slow one reads
@@ -26,7 +25,7 @@ class SimulatedDoor:
             raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
         self._world, self._end = world, pair.socket.socket(fileno=os.dup(pass_fds[0]))
         self._end.setblocking(False)
-        self.got: list[tuple[int, bytes]] = []
+        self.got: list[tuple[int, list[Any]]] = []
         self._status: int | None = None
         self._ready_s = world.now + START_S
         self._is_ready = False
@@ -56,26 +55,23 @@ class SimulatedDoor:
         if not self._is_ready:
             self._is_ready = True
             if world.on("door refuses"):
-                self._say(Kind.FAULT, b"publish.endpoints: cannot bind")
+                self._say(Kind.FAULT, "publish.endpoints: cannot bind")
                 self._die(2)
                 return
-            self._say(Kind.WANTED, b"\x1f")
-            self._say(Kind.READY, b"")
+            self._say(Kind.WANTED, list(TOPICS[:5]))
+            self._say(Kind.READY)
         for pose in poses:
-            self._say(Kind.POSES, pair.POSE.pack(*pose))
+            self._say(Kind.POSES, 0, [pose])
         for name in ("reset", "tare"):
             if world.once(name):
-                self._say(Kind.CHANGE, pair.REQUEST.pack(1) + name.encode())
+                self._say(Kind.CHANGE, 1, name, {})
         if world.now >= self._next_report_s:
             self._next_report_s = world.now + 1.0
-            self._say(Kind.REPORT, msgpack.packb(asdict(Report())))
+            self._say(Kind.REPORT, asdict(Report()))
         if world.on("door nonsense"):
-            kind = int(rng.choice([0, 1, 3, 17, 19, 20, 21, 22, 99, 255]))
-            body = rng.bytes(int(rng.integers(4, 4200)))
-            if kind != Kind.FAULT and not (kind == Kind.POSES and len(body) % pair.POSE.size == 0):
-                self._say(kind, body)
+            self._end.send(rng.bytes(int(rng.integers(4, 4200))))
         for _ in range(400 * world.on("door floods")):
-            self._say(Kind.POSES, b"")
+            self._say(Kind.POSES, 0, [])
 
     def _listen(self) -> None:
         slow = self._world.on("door slow")
@@ -90,8 +86,9 @@ class SimulatedDoor:
         except (EOFError, ConnectionError):
             self._die(0)
 
-    def _say(self, kind: int, body: bytes) -> None:
-        self._end.send(bytes((kind,)) + body)
+    def _say(self, kind: Kind, *values: object) -> None:
+        if not pair.send(self._end, kind, *values):
+            raise BlockingIOError
 
     def _die(self, status: int) -> None:
         if self._status is not None:

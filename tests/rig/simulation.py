@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import msgpack
+
 from taxeld.commands import replay
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate, Status
@@ -68,7 +70,7 @@ class Run:
         self.estimates: list[Estimate] = []  # one for each scan, as it was told last
         self.unsent = 0
         self.compared: list[str] = []  # the estimates were compared with those of these
-        self.taken: list[tuple[int, bytes]] = []  # packets, by the pair
+        self.taken: list[tuple[int, list[Any]]] = []  # packets, by the pair
         self.world = World(seed, faults, moves)
         self.world.end_s = end_s or self.world.end_s
         self._sent: list[dict[str, Any]] = []  # estimates
@@ -130,11 +132,11 @@ class Run:
                 raise OSError(errno.EMFILE, "Too many open files")
             return pairs()
 
-        def given(link: Link, kind: Kind, body: bytes) -> None:
+        def given(link: Link, kind: Kind, *values: Any) -> None:
             there, before = link.end is not None, link.unsent
-            give(link, kind, body)
+            give(link, kind, *values)
             if there and link.unsent == before:
-                self.taken.append((kind, body))
+                self.taken.append((kind, msgpack.unpackb(msgpack.packb(list(values)))))
 
         def posed(*given: Any) -> None:
             self._poses += 1

@@ -11,7 +11,7 @@ from pathlib import Path
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
-from taxeld.pipeline.poses import OnPose, PoseTrack
+from taxeld.pipeline.poses import PoseTrack
 from taxeld.service.doorkeeper import Doorkeeper, poses_alone
 from taxeld.source import buses, module_order
 from taxeld.source.recorder import Recorder
@@ -36,11 +36,6 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
     recorder = Recorder(directory, moves=moves, config=config_path, calibration=named)
     recorder.beside = [Recorder(directory / name, moves=moves) for name in config.names[1:]]
     return recorder
-
-
-def _taken(track: PoseTrack) -> OnPose:
-    """Has a track take poses as they come."""
-    return lambda t, x, y, yaw: track.add(t, x, y, yaw, time.time())
 
 
 class Recording:
@@ -72,7 +67,8 @@ class Recording:
             door = opened.enter_context(contextlib.closing(Doorkeeper(poses_alone(config))))
             recorder = opened.enter_context(self._recorder)
             track = PoseTrack(recorder.pose)
-            link = Link({}, _taken(track), {})
+            tracks = [track, *(PoseTrack(beside.pose) for beside in recorder.beside)]
+            link = Link({}, lambda *pose: tracks[pose[4]].add(*pose[:4], time.time()), {})
             opened.callback(link.detach)
 
             def open_one(bus: SourceConfig, skin: Layout, first: int) -> Source:
@@ -84,8 +80,6 @@ class Recording:
 
             skins = [layouts.load(one.skin.layout) for one in config.each]
             sources = [bus.source for bus in buses.opened(config, skins, open_one)]
-            for k, beside in enumerate(recorder.beside, 1):
-                link.on_poses[k] = _taken(PoseTrack(beside.pose))
             door.wait(link)
             while not self.stopping and not self.failed:
                 now_s = time.monotonic()

@@ -1,18 +1,16 @@
-"""Arrays of any skin, by ZeroMQ: each message is checked here, and passed on packed
-(docs/array.md)."""
+"""Arrays of any skin, by ZeroMQ: each message is checked here (docs/array.md)."""
 
 from collections.abc import Callable
 from typing import Any
 
 import zmq
 
-from taxeld.door.heard import Heard
+from taxeld.door.heard import REASON_MAX, Heard
 from taxeld.stream import pair
-from taxeld.stream.link import REASON_MAX
 from taxeld.stream.sockets import unpack
 from taxeld_protocol import array
 
-OnArray = Callable[[bytes], object]
+OnArray = Callable[[array.ArrayFrame], object]
 
 
 class Published(Heard):
@@ -32,6 +30,6 @@ class Published(Heard):
         frame = array.parse(array.read_json(body) if is_text else unpack(body))
         if isinstance(frame, str):
             self.line.malformed += 1
-            self.line.reason = frame[:REASON_MAX]
+            self.line.reason = pair.printable(frame)[:REASON_MAX]
         else:
-            self._on_array(pair.pack_array(frame))
+            self._on_array(frame)

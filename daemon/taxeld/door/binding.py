@@ -10,7 +10,6 @@ import zmq
 
 from taxeld.config import endpoints
 from taxeld.errors import SetupError
-from taxeld.stream import pair
 from taxeld.stream.sockets import why
 
 BACKLOG = 128
@@ -84,7 +83,6 @@ class Binding:
         finally:
             os.umask(before)
         made.setblocking(False)
-        pair.refuse_descriptors(made)
         made.listen(BACKLOG)
         self._listening, self._file = made, _identity(path)
 

@@ -11,12 +11,13 @@ import os
 import socket as kernel
 import struct
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import msgpack
 import zmq
 
-from taxeld.prior import PosePrior, read_prior
+from taxeld.prior import read_prior
 from taxeld.stream.sockets import credentials, is_waiting, open_socket, sender, unpack
 
 REQUESTS_AT_ONCE = 64
@@ -33,9 +34,8 @@ NUMBERS = itertools.count(1)  # numbers of the requests that the loop answers, o
 
 Body = bytes
 MayChange = Callable[[zmq.Frame], str]  # a frame of the peer → why it may not, or an empty text
-Change = Callable[
-    [int, str | PosePrior], bool
-]  # request, and what to do → whether it was passed on
+Change = Callable[[int, str, dict[str, Any]], bool]
+"""Request, command and arguments → whether it was passed on."""
 
 
 class Control:
@@ -86,11 +86,12 @@ class Control:
         if not isinstance(command, str) or command not in (*answers, *CHANGES):
             known = ", ".join((*answers, *CHANGES))
             return packed_error(f"unknown cmd {command!r:.100}; known: {known}")
-        what: str | PosePrior = command
+        arguments: dict[str, Any] = {}
         if command == PRIOR:
-            what = read_prior(request)
-            if isinstance(what, str):
-                return packed_error(f"prior: {what}")
+            prior = read_prior(request)
+            if isinstance(prior, str):
+                return packed_error(f"prior: {prior}")
+            arguments = asdict(prior)
         elif request:
             return packed_error(f"unknown key {next(iter(request))!r:.100}; {command} takes none")
         if command in answers:
@@ -99,7 +100,7 @@ class Control:
         if refusal:
             return packed_error(f"{command}: {refusal}")
         number = next(NUMBERS)
-        if len(self._pending) >= PENDING_MAX or not change(number, what):
+        if len(self._pending) >= PENDING_MAX or not change(number, command, arguments):
             return packed_error("the loop is busy; ask again")
         self._pending[number] = now_s, route
         return None

@@ -14,6 +14,7 @@ from taxeld.stream.sockets import connect, open_socket
 MESSAGES_PER_LOOK = 200
 QUEUED = 256  # messages, between two looks as well
 EVENTS_PER_LOOK = 64
+REASON_MAX = 120  # characters of why a message is none
 LOST_S = 2.0  # a connection that does not come back by itself in so long is made anew
 HALF_OPEN_S = 3.0  # a connection without a handshake for so long is refused
 FAILED = (

@@ -13,21 +13,21 @@ import msgpack
 import zmq
 
 from taxeld.config import endpoints
-from taxeld.door import control, sandbox
+from taxeld.door import control, limits
 from taxeld.door.admission import Admission
 from taxeld.door.arrays import Published
 from taxeld.door.binding import Binding, NotNowError
 from taxeld.door.control import Control, MayChange, packed_error, packed_ok
-from taxeld.door.robot import Robot
+from taxeld.door.robot import Pose, Robot
 from taxeld.door.settings import Settings
 from taxeld.door.streams import Streams, open_publisher
 from taxeld.errors import SetupError
-from taxeld.prior import PosePrior
 from taxeld.stream import curve, pair
 from taxeld.stream.curve import RelayKeys, RobotKeys
-from taxeld.stream.link import SEVERITIES, Report, line_of
+from taxeld.stream.link import Report
 from taxeld.stream.pair import Kind
-from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, TOPICS
+from taxeld.stream.topics import ESTIMATE, HEALTH, INFO
+from taxeld_protocol.array import ArrayFrame
 
 WAIT_MS = 100  # for a peer or the loop
 LOOK_S, REPORT_S = 0.1, 1.0
@@ -58,7 +58,7 @@ class Door:
         self._latest: dict[bytes, bytes] = {}
         self._state: dict[str, bytes] = {}
         self._estimate_s = time.monotonic()
-        self._wanted = -1
+        self._wanted: set[bytes] | None = None
         self._memory = b""
         self._is_at_work = False  # whether the loop has sent an estimate
         self._next_look_s = self._next_report_s = 0.0
@@ -71,16 +71,16 @@ class Door:
         self._array: Published | None = None
         self._admission: Admission | None = None
         self._estimates = settings.estimates
-        # all that is read of files comes before the process is confined
         keys = _keys(settings)
         members = control.for_members(settings.change_group)
-        self._report.confined = _confine(settings)
+        for endpoint in filter(None, (*settings.publish, settings.control)):
+            endpoints.make_directory(endpoint)
         with contextlib.ExitStack() as opened:
             context: zmq.Context[Any] = opened.enter_context(zmq.Context())
             opened.callback(self._close_all)
             self._open(context, settings, keys, members)
             self._opened = opened.pop_all()
-        sandbox.start_no_more()
+        limits.start_no_more()
         self._answers = {
             "status": self._on_status,
             "info": self._on_info,
@@ -90,7 +90,7 @@ class Door:
 
     def run(self) -> None:
         """Serve until the loop is gone."""
-        pair.send(self._end, Kind.READY, b"")
+        pair.send(self._end, Kind.READY)
         with contextlib.suppress(EOFError, ConnectionError):
             while True:
                 self._pass(dict(self._poller.poll(WAIT_MS)))
@@ -157,24 +157,27 @@ class Door:
             packet = pair.receive(self._end)
             if packet is None:
                 break
-            kind, body = packet
-            if kind == Kind.MESSAGE:
-                number, t = pair.HEAD.unpack_from(body)
-                self._forward(now_s, TOPICS[number], body[pair.HEAD.size :], t)
-            elif kind == Kind.STATE:
-                self._state = {name: msgpack.packb(v) for name, v in msgpack.unpackb(body).items()}
-            elif kind == Kind.MEMORY:
-                self._memory = bytes(body)
-            elif kind == Kind.ANSWER:
-                (number,) = pair.REQUEST.unpack_from(body)
-                for served in self._controls:
-                    served.done(number, body[pair.REQUEST.size :].decode())
-            elif kind == Kind.ASK and self._robot is not None:
-                was_awaited = self._robot.is_awaited
-                changed |= self._take_poses(self._robot, now_s)
-                self._robot.is_awaited = bool(body[0])
-                changed |= self._robot.is_awaited is not was_awaited
+            changed |= self._take(now_s, *packet)
         return changed
+
+    def _take(self, now_s: float, kind: int, values: list[Any]) -> bool:
+        """→ whether the poller must change."""
+        match kind, values:
+            case Kind.MESSAGE, [topic, t, body]:
+                self._forward(now_s, topic, body, t)
+            case Kind.STATE, [state]:
+                self._state = {name: msgpack.packb(value) for name, value in state.items()}
+            case Kind.MEMORY, [scans]:
+                self._memory = msgpack.packb(scans)
+            case Kind.ANSWER, [number, why]:
+                for served in self._controls:
+                    served.done(number, why)
+            case Kind.ASK, [also_next] if self._robot is not None:
+                was_awaited = self._robot.is_awaited
+                changed = self._take_poses(self._robot, now_s)
+                self._robot.is_awaited = also_next
+                return changed or also_next is not was_awaited
+        return False
 
     def _forward(self, now_s: float, topic: bytes, body: bytes, t: float) -> None:
         self._latest[topic] = body
@@ -197,18 +200,14 @@ class Door:
             return []
         return [INFO, self._latest[INFO], b"%.6f" % time.time()]
 
-    def _on_poses(self, packed: bytes, link: int) -> bool:
-        if link:
-            return pair.send(self._end, Kind.POSES_OF, bytes([link]) + packed)
-        return pair.send(self._end, Kind.POSES, packed)
+    def _on_poses(self, poses: list[Pose], link: int) -> bool:
+        return pair.send(self._end, Kind.POSES, link, poses)
 
-    def _on_array(self, packed: bytes) -> bool:
-        return pair.send(self._end, Kind.ARRAY, packed)
+    def _on_array(self, frame: ArrayFrame) -> bool:
+        return pair.send(self._end, Kind.ARRAY, frame.t, frame.id, frame.rest, frame.counts)
 
-    def _pass_on(self, number: int, what: str | PosePrior) -> bool:
-        if isinstance(what, PosePrior):
-            return pair.send(self._end, Kind.PRIOR, pair.pack_prior(what, number))
-        return pair.send(self._end, Kind.CHANGE, pair.REQUEST.pack(number) + what.encode())
+    def _pass_on(self, number: int, command: str, arguments: dict[str, Any]) -> bool:
+        return pair.send(self._end, Kind.CHANGE, number, command, arguments)
 
     def _on_status(self) -> bytes:
         if time.monotonic() > self._estimate_s + SILENT_S:
@@ -219,22 +218,21 @@ class Door:
     def _on_memory(self) -> bytes:
         if not self._memory:
             return packed_error("nothing was felt yet: touch the object first")
-        return packed_ok(memory=msgpack.packb(self._memory))
+        return packed_ok(memory=self._memory)
 
     def _on_info(self) -> bytes:
         return packed_ok(info=self._latest[INFO])
 
     def _tell_wanted(self) -> None:
-        topics = set[bytes]().union(*(stream.wanted for stream in self._streams))
-        wanted = sum(1 << number for number, topic in enumerate(TOPICS) if topic in topics)
-        if wanted != self._wanted and pair.send(self._end, Kind.WANTED, bytes((wanted,))):
+        wanted = set[bytes]().union(*(stream.wanted for stream in self._streams))
+        if wanted != self._wanted and pair.send(self._end, Kind.WANTED, sorted(wanted)):
             self._wanted = wanted
 
     def _send_report(self) -> None:
         if self._admission is not None:
             self._report.keys_refused = self._admission.refused
         self._report.unbound = len(self._unbound)
-        pair.send(self._end, Kind.REPORT, msgpack.packb(asdict(self._report)))
+        pair.send(self._end, Kind.REPORT, asdict(self._report))
 
     def _open(
         self, context: zmq.Context[Any], settings: Settings, keys: _Keys, members: MayChange
@@ -332,9 +330,9 @@ class _ToLoop(logging.Handler):
         self._end = end
 
     def emit(self, record: logging.LogRecord) -> None:
-        level = max(i for i, s in enumerate(SEVERITIES) if s <= max(record.levelno, SEVERITIES[0]))
+        line = pair.printable(record.getMessage())
         with contextlib.suppress(OSError):
-            pair.send(self._end, Kind.LOG, bytes((level,)) + record.getMessage().encode()[:2000])
+            pair.send(self._end, Kind.LOG, record.levelno, line)
 
 
 def main() -> None:
@@ -344,11 +342,11 @@ def main() -> None:
     end = socket.socket(fileno=int(sys.argv[1]))
     log.addHandler(_ToLoop(end))
     log.setLevel(logging.INFO)
-    sandbox.limit()
+    limits.limit()
     try:
         door = Door(Settings.parse(sys.argv[2]), end)
     except SetupError as error:
-        pair.send(end, Kind.FAULT, line_of(str(error).encode()).encode())
+        pair.send(end, Kind.FAULT, pair.printable(str(error)))
         sys.exit(2)
     try:
         door.run()
@@ -362,18 +360,3 @@ def _keys(settings: Settings) -> _Keys:
     return _Keys(
         curve.robot_keys(settings.keys, settings.robot), curve.relay_keys(settings.keys, served)
     )
-
-
-def _confine(settings: Settings) -> bool:
-    served = [endpoint for endpoint in (*settings.publish, settings.control) if endpoint]
-    for endpoint in served:
-        endpoints.make_directory(endpoint)
-    directories = {path.parent for path in map(endpoints.ipc_path, served) if path is not None}
-    binds = [e for e in (*settings.relay_publish, settings.relay_control) if e]
-    heard = settings.robot, settings.array
-    connects = [each for each in heard if each.startswith(endpoints.TCP)]
-    return sandbox.confine(directories, map(_port, binds), map(_port, connects))
-
-
-def _port(endpoint: str) -> int:
-    return int(endpoint.rpartition(":")[2])

@@ -11,14 +11,14 @@ from typing import Any
 
 import zmq
 
-from taxeld.door.heard import Heard
+from taxeld.door.heard import REASON_MAX, Heard
 from taxeld.stream import pair
 from taxeld.stream.curve import RobotKeys
-from taxeld.stream.link import REASON_MAX, TOPIC_MAX, TOPICS_MAX
 from taxeld.stream.sockets import unpack
 from taxeld.stream.topics import SENSOR_POSE
 
 POSE_FRAMES = 3
+TOPICS_MAX, TOPIC_MAX = 4, 60  # other topics of the robot, and characters of each
 POSE_KEYS = ("t", "x", "y", "theta")
 THETA_MAX = 3.0 * math.pi  # beyond it an angle is in degrees; smaller ones cannot be told
 DEGREES = "theta is beyond 1.5 turns: send radians from -pi to pi, not degrees"
@@ -27,8 +27,8 @@ NAME = re.compile(rb"[!-~]{0,%d}" % TOPIC_MAX)  # a topic up to where it is no t
 SILENT_S = 1.0  # without a pose for so long, other topics are listened to
 LISTEN_S, PAUSE_S = 3.0, 30.0  # for so long, and then not again
 
-OnPoses = Callable[[bytes, int], object]
 Pose = tuple[float, float, float, float]
+OnPoses = Callable[[list[Pose], int], object]
 
 
 class Robot(Heard):
@@ -47,8 +47,8 @@ class Robot(Heard):
         topics: Sequence[str] = (),
     ) -> None:
         """`topics`: of the links' sensors, where there are several; `on_poses` is given
-        up to `pair.POSES_MAX` well-formed poses, packed as `pair.POSE`, and the number of their
-        link; `now_s` is monotonic.
+        up to `pair.POSES_MAX` well-formed poses, and the number of their link; `now_s` is
+        monotonic.
 
         Raises:
             SetupError: the endpoint is none.
@@ -57,7 +57,7 @@ class Robot(Heard):
         self._on_poses = on_poses
         # the links' topics with their numbers, and their poses that have not been passed on
         self._links = {topic.encode(): k for k, topic in enumerate(topics)} or {SENSOR_POSE: 0}
-        self._packed: list[list[bytes]] = [[] for _ in self._links]
+        self._came: list[list[Pose]] = [[] for _ in self._links]
         self._pose_s = now_s  # when the last one came
         self._listens_s: float | None = None  # since when to other topics
         self._pauses_s = -math.inf  # until then not again
@@ -94,19 +94,19 @@ class Robot(Heard):
             pose = DEGREES
         if isinstance(pose, str):
             self.line.malformed += 1
-            self.line.reason = pose[:REASON_MAX]
+            self.line.reason = pair.printable(pose)[:REASON_MAX]
             return
         self._pose_s, self.is_awaited = now_s, False
-        packed = self._packed[link or 0]
-        packed.append(pair.POSE.pack(*pose))
-        if len(packed) == pair.POSES_MAX:
+        came = self._came[link or 0]
+        came.append(pose)
+        if len(came) == pair.POSES_MAX:
             self._pass_on()
 
     def _pass_on(self) -> None:
-        for link, packed in enumerate(self._packed):
-            if packed:
-                self._on_poses(b"".join(packed), link)
-            packed.clear()
+        for link, came in enumerate(self._came):
+            if came:
+                self._on_poses(came, link)
+            came.clear()
 
     def _note(self, event: int, now_s: float) -> None:
         super()._note(event, now_s)

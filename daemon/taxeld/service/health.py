@@ -50,8 +50,8 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
         },
         "door": {
             "starts": daemon.door.starts,
-            "confined": report.confined,
             "unsent": daemon.link.unsent,
+            "failed": daemon.link.failed,
             "keys_refused": report.keys_refused,
             "unbound": report.unbound,
         },

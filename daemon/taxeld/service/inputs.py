@@ -2,7 +2,6 @@
 
 import contextlib
 import time
-from functools import partial
 
 from taxeld.config.tables import SourceConfig
 from taxeld.layout.layout import Layout
@@ -48,9 +47,6 @@ class Inputs:
             wirings = [self._made.pipeline.stages[k].skin.wiring for k in bus.links]
             for wiring in wirings:
                 wiring.neighbours = {sui for each in wirings for sui in each.suis}
-        link.on_poses |= {
-            k: partial(self.on_pose, link=k) for k in range(1, len(self._made.layouts))
-        }
 
     @property
     def sources(self) -> list[Source]:

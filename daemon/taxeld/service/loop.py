@@ -9,6 +9,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
@@ -61,9 +62,8 @@ class Daemon:
             self._next_look_s = 0.0
             self.inputs = Inputs(made)
             self.kept = Store(self.config, self.pipeline)
-            changes = {"tare": self.pipeline.tare, "reset": self._reset}
+            changes = {"tare": self.pipeline.tare, "reset": self._reset, "prior": self._prior}
             self.link = Link(self._info(), self.inputs.on_pose, changes)
-            self.link.on_prior = self._on_prior
             self.publisher = Publisher(made, self.inputs, self.link, self.counters)
             opened.callback(self.link.detach)
             opened.callback(self.kept.close)
@@ -207,12 +207,14 @@ class Daemon:
 
     def _reset(self) -> str:
         """Forget all touches; → why that was not done."""
-        why = self.pipeline.reset()
-        if not why:
+        try:
+            return self.pipeline.reset()
+        finally:  # what cannot be forgotten here is not to come back with the next start
             self.kept.forget_belief()
-        return why
 
-    def _on_prior(self, pose: PosePrior) -> str:
+    def _prior(self, **given: Any) -> str:
+        """Take a prior; → why it is not taken."""
+        pose = PosePrior(**given)
         numbers = [k for k, name in enumerate(self._objects) if name == pose.object]
         if pose.object and not numbers:
             return f"no object {pose.object}; there are {', '.join(self._objects)}"
