@@ -68,6 +68,13 @@ def test_a_map_of_all_levels_is_small_and_the_same_rows_give_the_same_bytes(tmp_
         assert f"| density mixture | {name} | " in text
 
 
+def test_the_worst_cell_over_all_objects_has_the_name_of_its_object() -> None:
+    good = map_rows()[0] | {"found_rate": 1.0}
+    bad = good | {"object": "025_mug", "found_rate": 0.1}
+    (line,) = (line for line in trial_table([good, bad]).splitlines() if "| all |" in line)
+    assert "| 10%, mug, as assumed |" in line
+
+
 def test_samplers_of_one_picture_differ_in_colour_and_not_only_in_their_markers() -> None:
     found = picture.styles(["projection", "manifold", "table", "paper", "density", "exact"])
     assert len({colour for colour, _ in found.values()}) == len(found) == 6

@@ -16,6 +16,7 @@ from taxeld_training.jobs.statistics import of_count, of_mean, p_paired
 
 GRID = "grid"  # `proposal` of the grid filter's rows
 EXACT = "exact"  # `proposal` of the exact posterior's rows
+ALL = "all"  # object of a line over all objects
 DISTANCES = "distances"  # distances of each reading, for intervals and paired tests
 
 Row = Mapping[str, Any]
@@ -153,10 +154,11 @@ def trial_table(rows: Sequence[Row]) -> str:
     shares["worst cell, found"] = partial(_worst, key="found_rate", pick=min)
     shares["misleading"] = partial(_worst, key="misleading_rate", pick=max)
     after = {f"after {contact}": partial(_found, contact=contact) for contact in contacts}
-    both = [*({**row, "object": "all"} for row in last), *last]
+    both = [*({**row, ALL: True} for row in last), *last]
+    heads = {"method": method, "object": lambda row: ALL if ALL in row else _object(row)}
     return "\n\n".join(
         [
-            table(both, {"method": method, "object": _object}, shares),
+            table(both, heads, shares),
             table(rows, {"object": _object, "condition": condition, "method": method}, after),
         ]
     )
