@@ -153,12 +153,11 @@ def integrity() -> str:
             str(row["estimates"]),
             f"{row['misleading']} of {row['sure']}",
             *(str(row[key]) for key in ("beyond", "far", "far_beyond")),
-            " – ".join(f"{100 * end:.2f}" for end in row["misleading_ci"]),
         ]
         for row in rows_of("integrity")
     ]
     heads = ["source", "estimates", "misleading, of the sure", "found, beyond its radius"]
-    return table([*heads, "not found, within it", "not found, beyond it", "interval, %"], lines)
+    return table([*heads, "not found, within it", "not found, beyond it"], lines)
 
 
 FIGURES: dict[str, Callable[[], str]] = {

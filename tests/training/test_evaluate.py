@@ -417,7 +417,5 @@ def test_what_misled_is_counted_over_all_files_of_a_folder_that_have_diagrams(
         found = rows(tmp_path, "integrity")
         counts = [(row["source"], row["estimates"], row["misleading"]) for row in found]
         assert counts == [("all", 12, 6), ("soak", 4, 2), ("trials", 8, 4)]
-        low, high = found[0]["misleading_ci"]
-        assert low < found[0]["misleading_rate"] == 0.66667 < high
-    assert "| soak | 4 | 3 | 2 | 1 | 0 | 1 | 66.67% (" in (out / "integrity.md").read_text("utf-8")
+    assert "| soak | 4 | 3 | 2 | 1 | 0 | 1 |\n" in (out / "integrity.md").read_text("utf-8")
     assert (out / "integrity.png").stat().st_size > 5_000

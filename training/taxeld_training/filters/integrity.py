@@ -12,8 +12,7 @@ from typing import Any
 from taxeld.errors import SetupError
 from taxeld_hil.integrity import Stanford
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import number_of, share_of, table
-from taxeld_training.jobs.statistics import of_count, rounded
+from taxeld_training.jobs.rows import number_of, table
 
 NAME, ALL = "integrity", "all"
 COUNTS = {  # heading → key of a row
@@ -27,8 +26,8 @@ COUNTS = {  # heading → key of a row
 
 
 def integrity_rows(options: Options) -> list[Path]:
-    """Rows {source, estimates, sure, misleading, misleading_rate, misleading_ci, kept, beyond, far,
-    far_beyond, bins}, their table and their diagrams. The first row is of all sources.
+    """Rows {source, estimates, sure, misleading, kept, beyond, far, far_beyond, bins}, their table
+    and their diagrams. The first row is of all sources.
 
     Raises:
         SetupError: no file of the folder has diagrams.
@@ -43,7 +42,7 @@ def integrity_rows(options: Options) -> list[Path]:
         for diagram in each.values():
             whole.include(diagram)
         each = {ALL: whole, **each}
-    rows = [_row(source, diagram) for source, diagram in each.items()]
+    rows = [{"source": source, **diagram.row()} for source, diagram in each.items()]
     data = write(options, NAME, rows, _table(rows))
     stanford_chart.draw(each, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
@@ -73,17 +72,6 @@ def _told(data: Any) -> Iterator[Mapping[str, Any]]:
                 yield from _told(each)
 
 
-def _row(source: str, diagram: Stanford) -> dict[str, Any]:
-    misleading, sure = diagram.misleading, diagram.sure
-    return {
-        "source": source,
-        "misleading_rate": round(misleading / sure, 5) if sure else None,
-        "misleading_ci": rounded(of_count(misleading, sure), 5) if sure else None,
-        **diagram.row(),
-    }
-
-
 def _table(rows: list[dict[str, Any]]) -> str:
     cells = {heading: number_of(key) for heading, key in COUNTS.items()}
-    cells["misleading of the sure"] = share_of("misleading_rate", "misleading_ci")
     return table(rows, {"source": lambda row: str(row["source"])}, cells)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from taxeld_training.jobs.statistics import of_count, of_mean, p_paired
+from taxeld_training.jobs.statistics import of_mean, p_paired
 
 GRID = "grid"  # `proposal` of the grid filter's rows
 EXACT = "exact"  # `proposal` of the exact posterior's rows
@@ -194,13 +194,13 @@ def _p(rows: Sequence[Row], nearest: Sequence[Row]) -> str:
 
 
 def _pooled(rows: Sequence[Row], key: str) -> str:
-    """A share of all the rows' trials, with its interval."""
+    """A share of all the rows' trials. It has no interval: rows share seeds, so that their trials
+    depend on each other."""
     if any(row[key] is None for row in rows):
         return ""
     total = sum(int(row["seeds"]) for row in rows)
     count = round(sum(float(row[key]) * int(row["seeds"]) for row in rows))
-    low, high = of_count(count, total)
-    return f"{count / total:.1%} ({low:.1%} – {high:.1%})"
+    return f"{count / total:.1%}"
 
 
 def _worst(rows: Sequence[Row], key: str, pick: Callable[..., Row]) -> str:
