@@ -22,13 +22,8 @@ def check_picture(path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["stability", "whole"])
 def test_the_rows_of_the_results_can_be_drawn_again(name: str, tmp_path: Path) -> None:
-    """Also those that an earlier version made, with samplers that are no more."""
     rows = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
-    draw = {
-        "filter": trial_charts.by_contact,
-        "stability": trial_charts.failures,
-        "whole": whole_chart.draw,
-    }
+    draw = {"stability": trial_charts.failures, "whole": whole_chart.draw}
     draw[name](rows, tmp_path / "a.png")
     check_picture(tmp_path / "a.png")
 
