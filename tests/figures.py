@@ -96,35 +96,6 @@ def advice() -> str:
     return table(heads, lines)
 
 
-def percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
-
-
-def whole() -> str:
-    """What ships, an object a line, beside the best and the cheapest filter on it."""
-    rows = [row for row in rows_of("whole") if row["factor"] == "as assumed"]
-    lines = []
-    for name in dict.fromkeys(row["object"] for row in rows):
-        own = [row for row in rows if row["object"] == name and "found_and_sure" in row]
-        found = [row["found_and_sure"][AFTER[1] - 1] for row in own]
-        ships = next(row for row in own if row["ships"])
-        as_good = [row for row, share in zip(own, found, strict=True) if share >= max(found) - 0.01]
-        least = min(as_good, key=lambda row: float(row["ms"]))
-        lines.append(
-            [
-                word(name),
-                *(percent(ships["found_and_sure"][n - 1]) for n in (4, 6)),
-                f"{ships['ms']:.1f}",
-                percent(max(found)),
-                f"{least['ms']:.1f}",
-                f"{ships['ms'] / least['ms']:.2f}",
-                str(sum(row["misleading"] for row in own)),
-            ]
-        )
-    heads = ["object", "ships, 4", "6", "ms a touch", "best, 6", "cheapest within a point, ms", "×"]
-    return table([*heads, "misleading, all filters"], lines)
-
-
 def reliability() -> str:
     """How far p and radius hold: all conditions, and parts of them."""
     rows = {row["over"]: row for row in rows_of("reliability") if "over" in row}
@@ -145,22 +116,6 @@ def reliability() -> str:
     return table([*heads, "found and sure after 4, 6, 8, %"], lines)
 
 
-def integrity() -> str:
-    """What misled, by source and by how it did."""
-    lines = [
-        [
-            row["source"],
-            str(row["estimates"]),
-            f"{row['misleading']} of {row['sure']}",
-            *(str(row[key]) for key in ("beyond", "far", "far_beyond")),
-            " – ".join(f"{100 * end:.2f}" for end in row["misleading_ci"]),
-        ]
-        for row in rows_of("integrity")
-    ]
-    heads = ["source", "estimates", "misleading, of the sure", "found, beyond its radius"]
-    return table([*heads, "not found, within it", "not found, beyond it", "interval, %"], lines)
-
-
 FIGURES: dict[str, Callable[[], str]] = {
     "works-typical": works("typical"),
     "works-poor": works("poor"),
@@ -168,9 +123,7 @@ FIGURES: dict[str, Callable[[], str]] = {
     "works-robot": works("robot errs by 2 mm"),
     "advice": advice,
     "works-misleading": most_misleading,
-    "whole": whole,
     "reliability": reliability,
-    "integrity": integrity,
 }
 
 

@@ -137,14 +137,6 @@ def test_a_wrong_object_is_never_found() -> None:
     assert rates["misleading_rate"] == rates["misleading_so_far_rate"] == 0.75
 
 
-def test_a_row_of_what_ships_alone_has_a_diagram_of_the_contacts_since_the_row_before() -> None:
-    level, trials = LEVELS[0], {0: [WRONG, RIGHT, RIGHT, WRONG]}
-    cell = experiment.cell_of(level, SHIPPED, BOX)
-    ours, other = (experiment._row(level, cell, 1, 4, trials, s) for s in (trials, dict(trials)))
-    assert other["stanford"] is None
-    assert (ours["stanford"]["sure"], ours["stanford"]["far_beyond"]) == (3, 1)
-
-
 @pytest.mark.check
 def test_cans_that_a_filter_takes_for_boxes_are_flagged_after_eight_contacts() -> None:
     """Some of a can's contacts agree with a box; of these four trials three ended converged while

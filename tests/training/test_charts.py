@@ -22,13 +22,8 @@ def check_picture(path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["stability", "whole"])
 def test_the_rows_of_the_results_can_be_drawn_again(name: str, tmp_path: Path) -> None:
-    """Also those that an earlier version made, with samplers that are no more."""
     rows = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
-    draw = {
-        "filter": trial_charts.by_contact,
-        "stability": trial_charts.failures,
-        "whole": whole_chart.draw,
-    }
+    draw = {"stability": trial_charts.failures, "whole": whole_chart.draw}
     draw[name](rows, tmp_path / "a.png")
     check_picture(tmp_path / "a.png")
 
@@ -67,6 +62,13 @@ def test_a_map_of_all_levels_is_small_and_the_same_rows_give_the_same_bytes(tmp_
     assert "| mug | wrong object: rubiks cube | density mixture | " in text
     for name in ("all", "cracker box", "mug"):
         assert f"| density mixture | {name} | " in text
+
+
+def test_the_worst_cell_over_all_objects_has_the_name_of_its_object() -> None:
+    good = map_rows()[0] | {"found_rate": 1.0}
+    bad = good | {"object": "025_mug", "found_rate": 0.1}
+    (line,) = (line for line in trial_table([good, bad]).splitlines() if "| all |" in line)
+    assert "| 10%, mug, as assumed |" in line
 
 
 def test_samplers_of_one_picture_differ_in_colour_and_not_only_in_their_markers() -> None:

@@ -140,7 +140,7 @@ def test_the_picture_of_ten_objects_on_two_skins_is_small(tmp_path: Path) -> Non
         for skin in recognise.SKINS
         for contact in recognise.SHOWN
     ]
-    bins = [{"mean_p": 0.95, "right": 0.9, "right_ci": [0.8, 0.95]}]
+    bins = [{"mean_p": 0.95, "right": 0.9}]
     drawn += [
         {"figure": "calibration", "skin": skin, "ece": 0.05, "reliability": bins}
         for skin in recognise.SKINS

@@ -26,7 +26,6 @@ ROOT = Path(__file__).parents[2]
 SHARED = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared"))
 PATCH = SHARED / "data" / "layouts" / "ur10e_link1_patch1.json"
 MUG = Setting("025_mug", ring(16), 16)
-Z2 = 1.959964**2  # of an interval of 95 %
 
 
 def touch(
@@ -60,9 +59,13 @@ def test_bins_are_a_tenth_wide_and_certainty_is_in_the_last() -> None:
     assert [(row["from"], row["n"]) for row in table] == [(0.0, 1), (0.1, 2), (0.9, 2)]
 
 
-def test_a_bin_in_which_nothing_is_right_has_an_interval_all_the_same() -> None:
-    (row,) = promises.reliability(np.full(30, 0.5), np.zeros(30, dtype=np.bool_))
-    assert row["right_ci"] == pytest.approx([0.0, Z2 / (30 + Z2)], abs=1e-4)
+def test_shares_of_estimates_have_no_interval_as_if_each_were_a_trial() -> None:
+    results = {0: [touch(1.0, 1.0)] * 8}
+    every = reliability.promised([results])
+    (row,) = promises.reliability(every.p, every.found)
+    told = reliability.told(results)
+    assert not {"right_ci", "misleading_ci", "sure_share_ci"} & {*row, *promises.kept(every), *told}
+    assert "told_ci" in told  # of trials
 
 
 def test_what_misleads_is_a_share_of_what_is_sure() -> None:
@@ -212,5 +215,7 @@ def test_the_picture_of_a_hundred_thousand_estimates_is_small(tmp_path: Path) ->
     n = 100_000
     error = np.exp(rng.normal(1.0, 2.0, n))
     every = Promises(rng.beta(5, 0.1, n), np.exp(rng.normal(1.0, 2.0, n)), error, np.full(n, 8))
-    reliability_chart.draw(dict.fromkeys(reliability.CURVES, every), every, tmp_path / "a.png")
+    row = {"estimates": n, "reliability": promises.reliability(every.p, every.found)}
+    over = [{"over": name, **row} for name in reliability.CURVES]
+    reliability_chart.draw(over, [{"stanford": every.stanford.row()}], tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size < 300_000

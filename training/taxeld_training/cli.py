@@ -25,9 +25,7 @@ EXPERIMENTS = {  # name → module, and the function in it that writes rows
     "recognise": ("filters.recognise", "recognise_rows"),
     "links": ("filters.linked", "link_rows"),
     "advice": ("filters.advised", "advice_rows"),
-    "ablation": ("filters.ablation", "ablation_rows"),
     "push": ("filters.push", "push_rows"),
-    "integrity": ("filters.integrity", "integrity_rows"),
 }
 UNCELLED = ("proposals", "push", "recognise", "links")  # of no chosen cells
 SINGLE = ("proposals", "recognise")  # experiments of one layout
@@ -194,9 +192,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
     options.add_layouts(one, "those skins")
-    about = (
-        "samplers (analytic, …), filters (table, shipped, …), or of ablation constants (MOVE, …)"
-    )
+    about = "samplers (analytic, …) or filters (table, shipped, …)"
     add("--groups", type=_names, default=(), metavar="A,B", help=about)
     about = "conditions: factors (noise, skin, 'wrong object', …) or a level of one (moved=5)"
     add("--cells", type=_names, default=(), metavar="A,B", help=about)

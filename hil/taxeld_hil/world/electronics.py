@@ -25,7 +25,7 @@ def mean_response(h: Floats, bend: float) -> Floats:
 def deviation(h: Floats) -> Floats:
     """How far a response that begins steeper by one lies above the common curve, at depths h (any
     shape): it rises at once and falls slowly; 0 at 0 and from 1 on. In four recordings of an insole
-    most taxels differ by this shape (docs/results/insole.json)."""
+    most taxels differ by this shape."""
     h = np.minimum(h, 1.0)
     rise = -np.expm1(-h / ONSET) / -np.expm1(-1.0 / ONSET) - h
     return np.asarray(rise / (1.0 / (ONSET * -np.expm1(-1.0 / ONSET)) - 1.0))

@@ -61,9 +61,7 @@ def _reliability(axes: Axes, row: Row) -> None:
     picture.plain(axes, 7)
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", lw=0.8, ls=":")
     x, y = (np.array([each[key] for each in row["reliability"]]) for key in ("mean_p", "right"))
-    low, high = np.array([each["right_ci"] for each in row["reliability"]]).T
-    spread = np.maximum([y - low, high - y], 0.0)
-    axes.errorbar(x, y, spread, color=picture.COLOURS[0], marker="o", ms=4, elinewidth=0.6)
+    axes.plot(x, y, color=picture.COLOURS[0], marker="o", ms=4)
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     axes.set_xlabel("probability of the named object", fontsize=8)
     axes.set_title(f"share that is right (error {row['ece']:.3f})", fontsize=9)

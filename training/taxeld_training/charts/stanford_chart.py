@@ -1,7 +1,4 @@
-"""Stanford diagrams, as of satellite navigation: errors against what was claimed of them."""
-
-from collections.abc import Mapping
-from pathlib import Path
+"""A Stanford diagram, as of satellite navigation: errors against what was claimed of them."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,21 +8,7 @@ from matplotlib.figure import Figure
 from taxeld_hil.integrity import EDGES_MM, FOUND_MM, Stanford
 from taxeld_training.charts import picture
 
-ACROSS = 4  # panels side by side
 MARKED = picture.COLOURS[1]  # the region of what misleads
-
-
-def draw(diagrams: Mapping[str, Stanford], path: Path) -> None:
-    """A panel for each diagram, by name."""
-    across = min(ACROSS, len(diagrams))
-    down = -(-len(diagrams) // across)
-    figure = Figure(figsize=(3.7 * across, 3.5 * down), layout="constrained")
-    panels = figure.subplots(down, across, squeeze=False)
-    for axes in panels.flat[len(diagrams) :]:
-        axes.set_axis_off()
-    for axes, (name, diagram) in zip(panels.flat, diagrams.items(), strict=False):
-        panel(figure, axes, diagram, name)
-    picture.save(figure, path, palette=True)
 
 
 def panel(figure: Figure, axes: Axes, diagram: Stanford, title: str) -> None:

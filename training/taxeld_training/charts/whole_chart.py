@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from taxeld_training.charts import picture
 from taxeld_training.charts.picture import Style
-from taxeld_training.jobs.rows import GRID, Row, condition, object_name
+from taxeld_training.jobs.rows import Row, condition, object_name
 
 ACROSS = 5  # panels side by side
 AFTER = 6  # touches
@@ -23,9 +23,8 @@ MARKS = {  # keys of rows → marker, size and name in the legend
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """A panel for each object and condition, with the front of its filters. Those by the paper's
-    rule are hollow. The grid is a dashed line, of objects found, sure or not: it takes seconds."""
-    style = picture.styles(row["proposal"] for row in rows if row["proposal"] != GRID)
-    style[GRID] = ("black", "_")
+    rule are hollow."""
+    style = picture.styles(row["proposal"] for row in rows)
     scenes = list(dict.fromkeys(map(_scene, rows)))
     across = min(ACROSS, len(scenes))
     down = -(-len(scenes) // across)
@@ -40,11 +39,10 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axes.tick_params(labelbottom=k + across >= len(scenes))
     figure.supxlabel("processor time of a touch [ms]", fontsize=9)
     figure.supylabel(f"found and sure after {AFTER} touches", fontsize=9)
-    named = {name: mark for name, mark in style.items() if name != GRID or _has_grid(rows)}
     handles = [
         *(
             Line2D([], [], color=c, marker=m, ls="none", ms=5, label=n)
-            for n, (c, m) in named.items()
+            for n, (c, m) in style.items()
         ),
         *(Line2D([], [], marker=m, ms=8, label=n, **GIVEN) for m, _, n in MARKS.values()),
     ]
@@ -52,16 +50,12 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     picture.save(figure, path, palette=True)
 
 
-def _has_grid(rows: Sequence[Row]) -> bool:
-    return any(row["proposal"] == GRID for row in rows)
-
-
 def _scene(row: Row) -> tuple[str, str]:
     return object_name(str(row["object"])), condition(row)
 
 
 def _share(row: Row) -> float:
-    return float(row["found" if row["proposal"] == GRID else "found_and_sure"][AFTER - 1])
+    return float(row["found_and_sure"][AFTER - 1])
 
 
 def _panel(axes: Axes, rows: Sequence[Row], style: dict[str, Style]) -> None:
@@ -69,9 +63,6 @@ def _panel(axes: Axes, rows: Sequence[Row], style: dict[str, Style]) -> None:
     axes.set(xscale="log", ylim=(-0.03, 1.05))
     picture.log_ticks(axes.xaxis, (1.0, 2.0, 5.0))
     for row in rows:
-        if row["proposal"] == GRID:
-            axes.axhline(_share(row), color="black", lw=0.9, ls="--", zorder=1)
-            continue
         colour, marker = style[row["proposal"]]
         fill = "white" if row["injection"] == "paper" else colour
         given: dict[str, Any] = {"ms": 4.0, "mec": colour, "mfc": fill, "mew": 0.8, "alpha": 0.85}
@@ -82,5 +73,5 @@ def _panel(axes: Axes, rows: Sequence[Row], style: dict[str, Style]) -> None:
     front = sorted((row["ms"], _share(row)) for row in rows if row["on_front"])
     if front:
         x, y = zip(*front, strict=True)
-        last = max(row["ms"] for row in rows if row["proposal"] != GRID)
+        last = max(row["ms"] for row in rows)
         axes.step([*x, last], [*y, y[-1]], where="post", color="0.5", lw=0.9, zorder=1)

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from taxeld.estimator.estimate import Hypotheses, Status
-from taxeld_training.filters import constants, follow
+from taxeld_training.filters import follow
 from taxeld_training.filters.conditions import TrialConditions
-from taxeld_training.filters.constants import Change
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs import blocks
@@ -38,7 +37,6 @@ class Cell:
     method: Method
     conditions: TrialConditions = field(default_factory=TrialConditions)
     touched: str = ""  # object of the trials; empty: the setting's object, which the filter assumes
-    change: Change | None = None  # a constant of the filter that is not as it ships
 
     @property
     def name(self) -> str:
@@ -110,11 +108,10 @@ def play(cell: Cell, first: int, count: int, file: str) -> list[list[Any]]:
     trials = (
         Trial(touched, seed, TOUCHES, cell.conditions) for seed in range(first, first + count)
     )
-    with constants.changed(cell.change):
-        return [
-            [(round(error_mm, 4), *rest) for error_mm, *rest in touches]
-            for touches in (follow.follow(trial, cell.method, model, proposal) for trial in trials)
-        ]
+    return [
+        [(round(error_mm, 4), *rest) for error_mm, *rest in touches]
+        for touches in (follow.follow(trial, cell.method, model, proposal) for trial in trials)
+    ]
 
 
 def _read(

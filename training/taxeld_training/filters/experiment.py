@@ -8,18 +8,17 @@ The grid filter is the limit: what it does not find, no filter of its likelihood
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from taxeld_hil.integrity import FOUND_MM, Stanford
+from taxeld_hil.integrity import FOUND_MM
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell, Results
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
-from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
+from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID, Row, trial_table
 from taxeld_training.jobs.statistics import of_median, p_share, quantiles, rounded, share
@@ -126,11 +125,11 @@ def rows(
     )
     found = cells.run([(cell, round(level.seeds * seeds)) for level, cell in wanted], options)
     return [
-        _row(level, cell, since, contact, found[cell], found.get(shipped))
+        _row(level, cell, contact, found[cell], found.get(shipped))
         for level, cell in wanted
         if cell in found
         for shipped in [cell_of(level, placed(SHIPPED, cell.setting, level), cell.setting)]
-        for since, contact in pairwise((0, *experiment.contacts))
+        for contact in experiment.contacts
         if contact in (cell.method.touches or experiment.contacts)
     ]
 
@@ -150,12 +149,11 @@ def cell_of(level: Level, method: Method, setting: Setting) -> Cell:
 
 
 def _row(
-    level: Level, cell: Cell, since: int, contact: int, results: Results, shipped: Results | None
+    level: Level, cell: Cell, contact: int, results: Results, shipped: Results | None
 ) -> dict[str, Any]:
     """The row of a cell and contact; `shipped` has the trials of what ships under the same
-    conditions, and if these are them, the row has a diagram of the contacts after `since`. Errors
-    of other lengths are in hundredths of the object's mean diameter."""
-    method, is_shipped = cell.method, results is shipped
+    conditions. Errors of other lengths are in hundredths of the object's mean diameter."""
+    method = cell.method
     of_lengths: dict[str, float] = {}
     if level.lengths:
         diameter_mm = 2e3 * trained.model_of(cell.setting).scene.mean_radius
@@ -169,7 +167,6 @@ def _row(
             for seed, trial in results.items()
         }
     last = [trial[contact - 1] for trial in results.values()]
-    new = [each for trial in results.values() for each in trial[since:contact]]
     return {
         "object": cell.setting.object,
         "factor": level.factor,
@@ -181,7 +178,6 @@ def _row(
         **of_lengths,
         **errors([result.map_mm for result in last]),
         **shares(results, contact),
-        "stanford": diagram(new).row() if is_shipped else None,
         "p_shipped": p_shipped(results, shipped, contact),
         "particles_max": method.particles_max or method.particles,
         "particles_mean": round(float(np.mean([result.particles for result in last])), 1),
@@ -216,17 +212,6 @@ def shares(results: Results, contact: int) -> dict[str, float | list[float] | No
         **share("misleading", [result.misleading for result in last] if claims else [], "_rate"),
         **share("misleading_so_far", so_far if claims else [], "_rate"),
     }
-
-
-def diagram(each: Sequence[TouchResult]) -> Stanford:
-    """The diagram of estimates."""
-    found = Stanford()
-    found.add(
-        [result.p for result in each],
-        [result.map_mm for result in each],
-        [result.radius_mm for result in each],
-    )
-    return found
 
 
 def p_shipped(mine: Results, shipped: Results | None, contact: int) -> float | None:

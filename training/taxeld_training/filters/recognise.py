@@ -25,6 +25,7 @@ from taxeld_training.jobs import blocks, identities
 from taxeld_training.jobs.identities import UNKNOWN
 from taxeld_training.jobs.identity_tables import tables
 from taxeld_training.jobs.options import Options, write
+from taxeld_training.jobs.promises import rate
 from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import OBJECTS, Setting
 
@@ -130,8 +131,8 @@ def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[
     found.append(
         {"figure": "calibration", **where, "ece": error}
         | {"ece_with_unknown": identities.identity_bins(given)[1], "reliability": bins}
-        | share("wrong_object_sure", (own.sure & ~own.right).ravel())
-        | share("far_and_sure", (own.sure & own.right & ~own.found).ravel())
+        | {"wrong_object_sure": rate((own.sure & ~own.right).ravel())}
+        | {"far_and_sure": rate((own.sure & own.right & ~own.found).ravel())}
         | {"estimates": own.sure.size}
     )
     found += [
@@ -148,7 +149,7 @@ def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[
         unknown = given.only(~given.known)
         sizes = {"seeds": len(own), "unknown_seeds": len(unknown)}
         found.append(
-            {"figure": "unknown", **where, **share("sure", unknown.sure.ravel()), **sizes}
+            {"figure": "unknown", **where, "sure": rate(unknown.sure.ravel()), **sizes}
             | {"sure_count": int(unknown.sure.sum()), "estimates": unknown.sure.size}
             | {"taken": _taken(mine, names)}
         )

@@ -67,12 +67,12 @@ def reliability_rows(options: Options) -> list[Path]:
         name: promised(results for key, results in found.items() if name in groups_of(*key))
         for name in GROUPS
     }
-    rows = [_group_row(name, given) for name, given in groups.items() if len(given)]
-    rows += [_cell_row(level, cell, results) for (level, cell), results in found.items()]
+    over = [_group_row(name, given) for name, given in groups.items() if len(given)]
+    single = [_cell_row(level, cell, results) for (level, cell), results in found.items()]
     name = "reliability_cells" if options.cells else "reliability"
-    data = write(options, name, rows, tables(rows))
-    curves = {name: groups[name] for name in CURVES}
-    reliability_chart.draw(curves, groups[ALL], data.with_suffix(".png"))
+    data = write(options, name, [*over, *single], tables([*over, *single]))
+    curves = [row for row in over if row["over"] in CURVES]
+    reliability_chart.draw(curves, single, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
 
 
@@ -157,7 +157,7 @@ def told(results: Results) -> dict[str, Any]:
     runs = list(results.values())
     sure = np.array([each.sure for run in runs for each in run])
     other = np.array([run[OTHER_AFTER - 1].hypotheses.other >= OTHER for run in runs])
-    return share("sure_share", sure) | share("told", other)
+    return {"sure_share": promises.rate(sure.ravel())} | share("told", other)
 
 
 def _notices(result: TouchResult) -> bool:

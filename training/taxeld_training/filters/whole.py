@@ -1,94 +1,64 @@
 """`taxeld-train evaluate whole`: what whole filters cost, and how soon they have found an object
 and are sure of it.
 
-A filter is its rule, sampler, particles, samples and memory. All meet the same touches. What else
+A filter is its rule, sampler, particles and samples. All meet the same touches. What else
 runs on a machine may double the processor time of any work. So a touch is timed in relation to
 scans of the same trial that tell nothing, which are the same work for every filter.
 """
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from taxeld.estimator.mixture import REMEMBERED
 from taxeld.proposals.analytic import Table
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, enough, experiment, levels
 from taxeld_training.filters.cells import Cell, Results
-from taxeld_training.filters.constants import Change
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import GRID, Row, condition, object_name, table
-from taxeld_training.jobs.statistics import share
+from taxeld_training.jobs.rows import ALL, Row, condition, object_name, table
 from taxeld_training.objects.setting import OBJECTS
 from taxeld_training.samplers.trained import DENSITY, PAPER
 
 SEEDS, QUICK_SEEDS = 40, 1
 BLOCK = 4  # trials of a job
-GRID_SHARE = 4  # of as many trials the grid has one
-AFTER = 6  # touches by which a filter is judged, and at which the grid looks
-ALL = "all"  # `object` of the rows over all objects
+AFTER = 6  # touches by which a filter is judged
 SCENES_APART = 10**9  # seeds
 MOST_FOUND = 0.9
 QUIET = 0.1  # share of the quickest seconds that tell what a quiet machine takes
 
-
-class Filter(NamedTuple):
-    """A whole filter: its parts, and how many scans of touches it remembers."""
-
-    method: Method
-    remembered: int = REMEMBERED
-
-    @property
-    def change(self) -> Change | None:
-        if self.remembered == REMEMBERED:
-            return None
-        return Change("mixture", "REMEMBERED", self.remembered)
-
-
-def _mixture(proposal: str, particles: int, most: int, samples: int) -> Filter:
-    return Filter(Method(proposal, "mixture", particles, most, samples))
-
-
 FILTERS = (
     *(  # N of one size
-        _mixture(proposal, n, n, n // 2)
+        Method(proposal, "mixture", n, n, n // 2)
         for proposal in (DENSITY, "table")
         for n in (25, 50, 100, 200, 400, 800)
     ),
     *(  # N that follows the belief, the second as it ships
-        _mixture(proposal, n, 4 * n, n // 2)
+        Method(proposal, "mixture", n, 4 * n, n // 2)
         for proposal in (DENSITY, "table")
         for n in (25, 50, 100, 200)
     ),
-    *(_mixture(proposal, 100, 400, 50) for proposal in ("manifold", "projection", PAPER)),
+    *(Method(proposal, "mixture", 100, 400, 50) for proposal in ("manifold", "projection", PAPER)),
     *(
-        _mixture(proposal, 100, 400, samples)
+        Method(proposal, "mixture", 100, 400, samples)
         for proposal in (DENSITY, "table")
         for samples in (10, 25, 100, 200)
     ),
-    *(
-        Filter(Method(proposal, "mixture", 100, 400, 50), remembered)
-        for proposal in (DENSITY, "table")
-        for remembered in (4, 8, 32)
-    ),
-    Filter(Method(PAPER, "paper", 100)),  # as published: its Fig. 3
-    Filter(Method(DENSITY, "paper", 100)),
-    Filter(Method("table", "paper", 100)),
-    Filter(Method("table", "paper", 800)),
-    Filter(Method("table", "paper", 800, samples=0)),  # a particle filter alone: no samples
-    Filter(Method(GRID, touches=(AFTER,))),  # the limit: nothing finds more
+    Method(PAPER, "paper", 100),  # as published: its Fig. 3
+    Method(DENSITY, "paper", 100),
+    Method("table", "paper", 100),
+    Method("table", "paper", 800),
+    Method("table", "paper", 800, samples=0),  # a particle filter alone: no samples
 )
 
 
 def whole_rows(options: Options) -> list[Path]:
-    """Rows {object, factor, level, proposal, injection, particles, particles_max, samples,
-    remembered, ms, idle_ms, found_and_sure, …}, a table of what each scene needs, and the chart.
+    """Rows {object, factor, level, proposal, injection, particles, particles_max, samples, ms,
+    idle_ms, found_and_sure, …}, a table of what each scene needs, and the chart.
 
     Raises:
         SetupError: no such object, group, layout or cell.
@@ -100,16 +70,11 @@ def whole_rows(options: Options) -> list[Path]:
         meshes.find(name)
     usual = [LEVELS[0], *(level for level in LEVELS if level.name == "skin=typical")]
     asked = levels.asked_for(options, LEVELS, usual)
-    chosen = cells.chosen([each.method for each in FILTERS], options.groups)
+    chosen = cells.chosen(FILTERS, options.groups)
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     scenes = [(level, name) for level in asked for name in level.objects or objects]
     wanted: dict[tuple[Level, str], dict[Cell, int]] = {
-        (level, name): {
-            cell: max(count // GRID_SHARE, 1) if each.method.proposal == GRID else count
-            for each in FILTERS
-            if each.method in chosen
-            for cell in [_cell(each, level, name, options)]
-        }
+        (level, name): {_cell(method, level, name, options): count for method in chosen}
         for level, name in scenes
     }
     counts = {cell: count for each in wanted.values() for cell, count in each.items()}
@@ -138,11 +103,10 @@ def whole_rows(options: Options) -> list[Path]:
     return [data, data.with_suffix(".png")]
 
 
-def _cell(each: Filter, level: Level, name: str, options: Options) -> Cell:
+def _cell(method: Method, level: Level, name: str, options: Options) -> Cell:
     """A filter's trials in a scene: where nothing is trained, the table proposes."""
     setting = level.setting(name, options)
-    cell = experiment.cell_of(level, experiment.placed(each.method, setting, level), setting)
-    return replace(cell, change=each.change)
+    return experiment.cell_of(level, experiment.placed(method, setting, level), setting)
 
 
 def quiet_ms(touches: Iterable[TouchResult]) -> float:
@@ -154,18 +118,14 @@ def quiet_ms(touches: Iterable[TouchResult]) -> float:
 def _pooled(scenes: Sequence[dict[Cell, Results]]) -> dict[Cell, Results]:
     """The trials of all scenes as of one, of the filters that ran in each, which the cells of the
     first scene stand for; of each scene the trials that all of these filters have met."""
-    parts = [{_parts(cell): results for cell, results in each.items()} for each in scenes]
-    own = [
-        cell
-        for cell in scenes[0]
-        if cell.method.proposal != GRID and all(_parts(cell) in each for each in parts)
-    ]
+    parts = [{cell.method: results for cell, results in each.items()} for each in scenes]
+    own = [cell for cell in scenes[0] if all(cell.method in each for each in parts)]
     if not own:
         return {}
-    met = [set.intersection(*(set(each[_parts(cell)]) for cell in own)) for each in parts]
+    met = [set.intersection(*(set(each[cell.method]) for cell in own)) for each in parts]
     return {
         cell: {
-            SCENES_APART * k + seed: each[_parts(cell)][seed]
+            SCENES_APART * k + seed: each[cell.method][seed]
             for k, (each, seeds) in enumerate(zip(parts, met, strict=True))
             for seed in sorted(seeds)
         }
@@ -173,22 +133,17 @@ def _pooled(scenes: Sequence[dict[Cell, Results]]) -> dict[Cell, Results]:
     }
 
 
-def _parts(cell: Cell) -> tuple[Method, Change | None]:
-    return cell.method, cell.change
-
-
 def _rows(
     level: Level, name: str, found: dict[Cell, Results], idle_ms: float
 ) -> list[dict[str, Any]]:
-    """The rows of a scene's filters, cheapest first, the grid last. `name`: of its object;
-    `idle_ms`: the time of quiet seconds on its skin."""
+    """The rows of a scene's filters, cheapest first. `name`: of its object; `idle_ms`: the time of
+    quiet seconds on its skin."""
     rows = {
         cell: {"object": name, "factor": level.factor, "level": level.level}
         | _row(cell, results, idle_ms)
         for cell, results in found.items()
     }
-    order = sorted(rows, key=lambda cell: (cell.method.proposal == GRID, rows[cell]["ms"]))
-    ranked = [cell for cell in order if cell.method.proposal != GRID]
+    ranked = sorted(rows, key=lambda cell: rows[cell]["ms"])
     most = -math.inf
     for cell in ranked:
         share = rows[cell]["found_and_sure"][AFTER - 1]
@@ -199,7 +154,7 @@ def _rows(
         told = ([enough.told(found[cell][seed]) for seed in sorted(seeds)] for cell in ranked)
         first = enough.first([enough.worth(trials) for trials in told], usual[0])
         rows[ranked[first]]["enough"] = True
-    return [rows[cell] for cell in order]
+    return [rows[cell] for cell in ranked]
 
 
 def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
@@ -211,16 +166,12 @@ def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
         "particles": own.particles,
         "particles_max": own.particles_max or own.particles,
         "samples": own.injected,
-        "remembered": REMEMBERED if cell.change is None else cell.change.value,
-        "ships": cell.change is None and own.is_shipped and own.proposal == Table.name,
+        "ships": own.is_shipped and own.proposal == Table.name,
         "enough": False,
         "on_front": False,
         "seeds": len(trials),
     }
     right = [[touch.found for touch in trial] for trial in trials]
-    if own.proposal == GRID:
-        by_look = sum(touch.cpu_ms for touch in touches) / len(trials)
-        return row | {"ms": round(by_look, 1), "found": np.mean(right, axis=0).round(4).tolist()}
     spent_ms = [
         touch.cpu_ms * idle_ms / float(np.nanmedian([each.idle_ms for each in trial]))
         for trial in trials
@@ -234,7 +185,6 @@ def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
         "idle_ms": round(quiet_ms(touches), 3),
         "found": np.mean(right, axis=0).round(4).tolist(),
         "found_and_sure": shares,
-        "found_and_sure_ci": share("", [trial[AFTER - 1] for trial in both])["_ci"],
         "touches_to_90": next((k for k, one in enumerate(shares, 1) if one >= MOST_FOUND), None),
         "misleading": sum(touch.misleading for touch in touches),
     }
@@ -245,13 +195,10 @@ def label(row: Row) -> str:
     least, most = row["particles"], row["particles_max"]
     size = f"{least}..{most}" if most > least else str(least)
     rule = "" if row["injection"] == "mixture" else f" {row['injection']}"
-    kept = "" if row["remembered"] == REMEMBERED else f", {row['remembered']} remembered"
-    return f"{row['proposal']}{rule} {size}, {row['samples']} samples{kept}"
+    return f"{row['proposal']}{rule} {size}, {row['samples']} samples"
 
 
 def _table(rows: Sequence[Row]) -> str:
-    ranked = [row for row in rows if row["proposal"] != GRID]
-
     def shown(one: Callable[[list[Row]], Row | None]) -> Callable[[list[Row]], str]:
         def text(of: list[Row]) -> str:
             row = one(of)
@@ -262,7 +209,7 @@ def _table(rows: Sequence[Row]) -> str:
         return text
 
     return table(
-        ranked,
+        rows,
         {"object": lambda row: object_name(str(row["object"])), "condition": condition},
         {
             "best": shown(lambda of: max(of, key=lambda row: row["found_and_sure"][AFTER - 1])),

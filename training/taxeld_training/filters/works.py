@@ -15,7 +15,6 @@ import numpy as np
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell
-from taxeld_training.filters.experiment import diagram
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, TouchResult
 from taxeld_training.jobs.options import Options, write
@@ -73,5 +72,4 @@ def _row(
         "found_and_sure_ci": rounded(of_count(both, len(after))),
         "misleading": sum(each.misleading for each in after),
         "touch_cpu_ms": round(float(np.median([each.cpu_ms for each in after])), 2),
-        "stanford": diagram(after).row(),
     }

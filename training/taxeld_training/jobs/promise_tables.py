@@ -31,14 +31,14 @@ def tables(rows: Sequence[Row]) -> str:
             {
                 "n": number_of("n"),
                 "mean p": number_of("mean_p"),
-                "found": share_of("right", "right_ci"),
+                "found": share_of("right"),
             },
         ),
         table(
             wrong,
             place,
             {
-                "sure": share_of("sure_share", "sure_share_ci"),
+                "sure": share_of("sure_share"),
                 "told after 6": share_of("told", "told_ci"),
             },
         ),
@@ -62,7 +62,7 @@ def _kept() -> dict[str, Cell]:
         "estimates": number_of("estimates"),
         "ECE": number_of("ece"),
         "sure": number_of("sure"),
-        "misleading of these": share_of("misleading_rate", "misleading_ci"),
+        "misleading of these": share_of("misleading_rate"),
         "median radius, mm": number_of("radius_mm"),
     }
     found |= {f"found and sure, {k}": share_of(f"found_and_sure_{k}") for k in CONTACTS}

@@ -2,7 +2,7 @@
 
 `p` is the probability that an estimate is *found*. What is *sure* and *misleading* is as in
 `taxeld_hil.integrity`: an estimate that misleads is what satellite navigation calls a loss of
-integrity.
+integrity. Shares of estimates have no interval: those of one trial depend on each other.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,6 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index
 from taxeld_hil.integrity import Claims, Stanford
-from taxeld_training.jobs.statistics import share
 
 BINS = 10
 CONTACTS = (4, 6, 8)  # contacts with shares of their own
@@ -42,14 +41,14 @@ class Promises(Claims):
 
 def reliability(p: Floats, right: Bools) -> list[dict[str, Any]]:
     """The reliability table of probabilities p (N,) of what turned out `right` (N,): a row for each
-    of `BINS` equal bins that has any, {from, n, mean_p, right, right_ci}."""
+    of `BINS` equal bins that has any, {from, n, mean_p, right}."""
     at = np.minimum((p * BINS).astype(np.intp), BINS - 1)
     return [
         {
             "from": k / BINS,
             "n": int(mine.sum()),
             "mean_p": round(float(p[mine].mean()), 6),
-            **share("right", right[mine]),
+            "right": rate(right[mine]),
         }
         for k, mine in ((k, at == k) for k in range(BINS))
         if mine.any()
@@ -65,9 +64,9 @@ def calibration_error(table: Sequence[dict[str, Any]]) -> float | None:
 
 
 def kept(given: Promises) -> dict[str, Any]:
-    """Figures of estimates: the calibration of p, and how many of those that are sure mislead, with
-    the interval of their share; of runs with the object that the filter assumes, the shares that
-    are found and sure, and that mislead, after `CONTACTS`."""
+    """Figures of estimates: the calibration of p, and how many of those that are sure mislead; of
+    runs with the object that the filter assumes, the shares that are found and sure, and that
+    mislead, after `CONTACTS`."""
     found, sure, misleading = given.found, given.sure, given.misleading
     radius_mm = given.radius_mm[sure]
     after = {k: given.of_object & (given.contact == k) for k in CONTACTS}
@@ -76,12 +75,13 @@ def kept(given: Promises) -> dict[str, Any]:
         "ece": calibration_error(reliability(given.p, found)),
         "sure": int(sure.sum()),
         "misleading": int(misleading.sum()),
-        **share("misleading", misleading[sure], "_rate"),
+        "misleading_rate": rate(misleading[sure]),
         "radius_mm": round(float(np.median(radius_mm)), 3) if len(radius_mm) else None,
-        **{f"found_and_sure_{k}": _rate((found & sure)[mine]) for k, mine in after.items()},
-        **{f"misleading_{k}": _rate(misleading[mine]) for k, mine in after.items()},
+        **{f"found_and_sure_{k}": rate((found & sure)[mine]) for k, mine in after.items()},
+        **{f"misleading_{k}": rate(misleading[mine]) for k, mine in after.items()},
     }
 
 
-def _rate(rule: Bools) -> float | None:
+def rate(rule: Bools) -> float | None:
+    """The share of estimates that obey a rule (N,); None without any."""
     return round(float(rule.mean()), 4) if len(rule) else None

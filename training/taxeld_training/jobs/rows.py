@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from taxeld_training.jobs.statistics import of_count, of_mean, p_paired
+from taxeld_training.jobs.statistics import of_mean, p_paired
 
 GRID = "grid"  # `proposal` of the grid filter's rows
 EXACT = "exact"  # `proposal` of the exact posterior's rows
+ALL = "all"  # object of a line over all objects
 DISTANCES = "distances"  # distances of each reading, for intervals and paired tests
 
 Row = Mapping[str, Any]
@@ -41,12 +42,6 @@ def number(value: Any) -> float:
 def median_of(value: Any) -> float:
     """A measure of a row: a number, or the median of a map of quantiles."""
     return number(value["median"] if isinstance(value, Mapping) else value)
-
-
-def gap(row: Row) -> float:
-    """Distance to the exact posterior over the floor, that of two exact sets. In rows of earlier
-    versions, whose distances are too large by a bias that is the floor's, this takes it off."""
-    return number(row.get("energy_distance")) - number(row.get("energy_floor"))
 
 
 def label(row: Row) -> str:
@@ -131,8 +126,7 @@ def sampler_table(rows: Sequence[Row]) -> str:
         cells: dict[str, Cell] = {
             "objects": lambda each: str(len(each)),
             "energy distance": _distance,
-            "over the floor": lambda each: f"{np.mean([gap(row) for row in each]):.4f}",
-            "worst object": lambda each: f"{max(gap(row) for row in each):.4f}",
+            "worst object": lambda each: f"{max(row['energy_distance'] for row in each):.4f}",
         }
         for heading, (key, form) in FIGURES.items():
             if key in mine[0]:
@@ -153,10 +147,11 @@ def trial_table(rows: Sequence[Row]) -> str:
     shares["worst cell, found"] = partial(_worst, key="found_rate", pick=min)
     shares["misleading"] = partial(_worst, key="misleading_rate", pick=max)
     after = {f"after {contact}": partial(_found, contact=contact) for contact in contacts}
-    both = [*({**row, "object": "all"} for row in last), *last]
+    both = [*({**row, ALL: True} for row in last), *last]
+    heads = {"method": method, "object": lambda row: ALL if ALL in row else _object(row)}
     return "\n\n".join(
         [
-            table(both, {"method": method, "object": _object}, shares),
+            table(both, heads, shares),
             table(rows, {"object": _object, "condition": condition, "method": method}, after),
         ]
     )
@@ -192,13 +187,13 @@ def _p(rows: Sequence[Row], nearest: Sequence[Row]) -> str:
 
 
 def _pooled(rows: Sequence[Row], key: str) -> str:
-    """A share of all the rows' trials, with its interval."""
+    """A share of all the rows' trials. It has no interval: rows share seeds, so that their trials
+    depend on each other."""
     if any(row[key] is None for row in rows):
         return ""
     total = sum(int(row["seeds"]) for row in rows)
     count = round(sum(float(row[key]) * int(row["seeds"]) for row in rows))
-    low, high = of_count(count, total)
-    return f"{count / total:.1%} ({low:.1%} – {high:.1%})"
+    return f"{count / total:.1%}"
 
 
 def _worst(rows: Sequence[Row], key: str, pick: Callable[..., Row]) -> str:
