@@ -166,12 +166,17 @@ def test_it_thinks_until_enough_samples_have_left_a_narrow_belief_where_it_was(
     assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.003
 
 
-def test_where_only_dead_taxels_would_feel_it_is_blind(box_model: ObservationModel) -> None:
+def test_where_only_dead_taxels_would_feel_it_is_blind_until_a_scan_tells_more(
+    box_model: ObservationModel,
+) -> None:
     world, subject = settled(box_model)
     sensor = se2.compose(TRUTH, box_side(box_model, 0.2, 0.004))
     pressed = box_model.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0] > 0.0
     scan = Activation(world.t + 1.0, np.zeros(32), ~pressed)
     assert subject.on_scan(scan, sensor).status is Status.BLIND
+    # a scan that cannot be used, as the sensor jumps, says nothing new
+    scan, far = replace(scan, t=scan.t + 0.05), sensor + np.array([5.0, 0.0, 0.0])
+    assert subject.on_scan(scan, far).status is Status.BLIND
 
 
 def test_a_sensor_that_jumps_is_not_believed_until_it_stays(box_model: ObservationModel) -> None:

@@ -78,6 +78,7 @@ class Estimator:
         self._news = [News(each.layout.radius_m, tally=self._tally) for each in links]
         self._before: list[Observation | None] = [None] * len(links)
         self._moved = 0.0  # probability in the last estimate that the object has moved
+        self._blind = False  # whether the last usable scan told nothing of where the object is
         # number of the last contact of which `taught` has told each link
         self._taught = [0] * len(links)
         self.used: Observation | None = None  # the scan that the last call learned from
@@ -222,8 +223,8 @@ class Estimator:
         self, observation: Observation, injected: int = 0, log_evidence: float = 0.0
     ) -> None:
         """Make an estimate of the current belief."""
-        blind = self._is_blind(observation)
-        self.estimate = self._estimate(self._t, injected, log_evidence, blind=blind)
+        self._blind = self._is_blind(observation)
+        self.estimate = self._estimate(self._t, injected, log_evidence)
 
     def _draw(self, known: Known, observation: Observation, n: int) -> Poses:
         """At most n poses (≤ n, 3) in the world that explain an observation by itself."""
@@ -253,9 +254,7 @@ class Estimator:
         expected = self._tally.contacts > 0 and len(pressed) > 0
         return expected and not bool(observation.live[pressed].any())
 
-    def _estimate(
-        self, t: float, injected: int = 0, log_evidence: float = 0.0, *, blind: bool = False
-    ) -> Estimate:
+    def _estimate(self, t: float, injected: int = 0, log_evidence: float = 0.0) -> Estimate:
         bank, before = self.bank, self._moved
         verdict, modes = bank.verdict, bank.modes()
         place, summary = verdict.place, verdict.place.summary
@@ -263,7 +262,7 @@ class Estimator:
         self.counters.forgotten += self._moved > 0.5 >= before
         return Estimate(
             t=t,
-            status=status(verdict, self._tally.contacts, blind=blind),
+            status=status(verdict, self._tally.contacts, blind=self._blind),
             contact=any(map(self._touches, range(len(self._news)))),
             contacts=self._tally.contacts,
             map=summary.modes[0].pose,
