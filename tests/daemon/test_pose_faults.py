@@ -128,7 +128,7 @@ def test_status_has_how_the_poses_come_and_what_is_wrong() -> None:
     def rows() -> dict[str, str]:
         return dict(row.split(": ", maxsplit=1) for row in lines(answer))
 
-    assert rows()["Samples       "] == "chosen"
+    assert rows()["Samples       "] == "all"
     assert rows()["Pose link     "] == "connected"  # as before the first health
     answer["sensor_pose"] = {"endpoint": ENDPOINT, "topics": [], "fault": watch.fault}
     assert rows()["Pose link     "] == f"connected to {ENDPOINT}"
