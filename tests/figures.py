@@ -119,7 +119,6 @@ def reliability() -> str:
 FIGURES: dict[str, Callable[[], str]] = {
     "works-typical": works("typical"),
     "works-poor": works("poor"),
-    "works-exact": works("exact"),
     "works-robot": works("robot errs by 2 mm"),
     "advice": advice,
     "works-misleading": most_misleading,
