@@ -5,7 +5,12 @@ import { Subscriber } from "zeromq";
 
 const CONVERGED = 3; // of `status`: docs/stream.md has all numbers
 const socket = new Subscriber();
-socket.connect(process.argv[2] ?? "ipc:///run/taxeld/stream");
+// of the service, and of a daemon that this user runs: whichever is there, or comes later
+const own = `ipc://${process.env.XDG_RUNTIME_DIR ?? "/nowhere"}/taxeld/stream`;
+for (const endpoint of process.argv[2] ? [process.argv[2]] : ["ipc:///run/taxeld/stream", own]) {
+  socket.connect(endpoint);
+  console.error(`listening at ${endpoint}`);
+}
 socket.subscribe("/taxeld/estimate");
 let touching = false;
 for await (const [, body] of socket) {

@@ -3,25 +3,27 @@
 import argparse
 import os
 import sys
-from pathlib import Path
 
 import msgpack
 import zmq
 
 CONVERGED = 3  # of `status`: docs/stream.md has all numbers
 
-own = Path(os.environ.get("XDG_RUNTIME_DIR", "/nowhere"), "taxeld", "stream")
-default = f"ipc://{own if own.exists() else '/run/taxeld/stream'}"
+# of the service, and of a daemon that this user runs: whichever is there, or comes later
+usual = [
+    "ipc:///run/taxeld/stream",
+    f"ipc://{os.environ.get('XDG_RUNTIME_DIR', '/nowhere')}/taxeld/stream",
+]
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("endpoint", nargs="?", default=default, help="(default: %(default)s)")
+parser.add_argument("endpoint", nargs="*", default=usual, help="(default: %(default)s)")
 socket = zmq.Context().socket(zmq.SUB)
-endpoint = parser.parse_args().endpoint
-try:
-    socket.connect(endpoint)
-except zmq.ZMQError as error:
-    sys.exit(f"{endpoint}: {error}; use ipc:///path or tcp://host:port")
+for endpoint in parser.parse_args().endpoint:
+    try:
+        socket.connect(endpoint)
+    except zmq.ZMQError as error:
+        sys.exit(f"{endpoint}: {error}; use ipc:///path or tcp://host:port")
+    print(f"listening at {endpoint}", file=sys.stderr)
 socket.setsockopt(zmq.SUBSCRIBE, b"/taxeld/estimate")
-print(f"listening at {endpoint}", file=sys.stderr)
 touching = False
 while True:
     _topic, body, *_time = socket.recv_multipart()

@@ -76,19 +76,34 @@ def test_a_change_of_status_is_logged_once(
     estimate: Estimate, logged: Callable[[], list[str]]
 ) -> None:
     told = notices()
-    for _ in range(3):
-        told.estimate(estimate, Why.UNTOUCHED, "touch the object")
+    for now_s in range(3):
+        told.estimate(estimate, Why.UNTOUCHED, "touch the object", now_s)
     assert logged() == ["INFO: status: searching, not valid, 0 contacts: touch the object"]
-    told.estimate(estimate, Why.VAGUE, "touch again")
+    told.estimate(estimate, Why.VAGUE, "touch again", 10.0)
     assert logged() == ["INFO: status: searching, not valid, 0 contacts: touch again"]
     stale = replace(estimate, status=Status.STALE)
-    told.estimate(stale, Why.NO_SCAN, "no scan comes")
+    told.estimate(stale, Why.NO_SCAN, "no scan comes", 20.0)
     assert logged() == ["WARNING: status: stale, not valid, 0 contacts: no scan comes"]
     sure = replace(estimate, p=0.9962, radius_m=0.0088)
-    told.estimate(sure, Why.VALID, "")
+    told.estimate(sure, Why.VALID, "", 30.0)
     (line,) = logged()
     assert line.startswith("INFO: status: searching, valid, 0 contacts, x ")
     assert line.endswith(" rad, p 99.6%, radius 8.8 mm")
+
+
+def test_a_status_that_flaps_is_logged_ever_less_often_and_the_last_one_is_logged(
+    estimate: Estimate, logged: Callable[[], list[str]]
+) -> None:
+    told, stale = notices(), replace(estimate, status=Status.STALE)
+    for k in range(400):  # twenty seconds, as often as estimates are published
+        one = (estimate, Why.UNTOUCHED, "") if k // 10 % 2 else (stale, Why.NO_SCAN, "")
+        told.estimate(*one, 0.05 * k)
+    assert 3 <= len(logged()) <= 8
+    for k in range(400, 700):
+        told.estimate(estimate, Why.VALID, "", 0.05 * k)
+    assert logged()[-1].startswith("INFO: status: searching, valid")
+    told.estimate(stale, Why.NO_SCAN, "no scan comes", 60.0)
+    assert len(logged()) == 1, "at once, once it was calm"
 
 
 def told_of(told: Notices, wiring: Wiring, *, fault: str = "", match: bool = True) -> None:

@@ -170,8 +170,8 @@ def test_the_log_says_once_which_object_it_surely_is(
 ) -> None:
     told = Notices(NAMES, "table", [])
     with caplog.at_level(logging.INFO, logger="taxeld"):
-        for p in (0.9, 0.995, 0.999):
-            told.estimate(estimate_of(three, 0.0, p, 0.0, number=1), Why.VALID, "")
+        for now_s, p in enumerate((0.9, 0.995, 0.999)):
+            told.estimate(estimate_of(three, 0.0, p, 0.0, number=1), Why.VALID, "", now_s)
     lines = [line for line in caplog.messages if line.startswith("object")]
     assert lines == ["object: 025_mug, p 99.5 %"]
 

@@ -194,7 +194,7 @@ def test_where_memory_is_short_a_door_that_is_starting_goes_before_the_loop_too(
     starting.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(starting))
     keeper = Doorkeeper(Settings((f"ipc://{tmp_path}/stream",), "", "", "", 1))
-    process = until(lambda: keeper._started).process
+    process = until(lambda: keeper._started)[0].process
     score = Path(f"/proc/{process.pid}/oom_score_adj").read_text(encoding="ascii")
     keeper._stops.set()
     process.kill()

@@ -145,21 +145,31 @@ def test_a_wrong_argument_of_the_python_client_is_told_without_a_traceback(
     assert "Traceback" not in ended.stderr
 
 
-@pytest.mark.parametrize("by_hand", [True, False])
-def test_the_python_client_listens_to_a_daemon_started_by_hand_or_else_to_the_service(
-    tmp_path: Path, by_hand: bool
+@pytest.mark.parametrize("name", ["python", "node"])
+def test_a_client_that_starts_first_hears_a_daemon_that_comes_later(
+    tmp_path: Path, name: str
 ) -> None:
-    own = tmp_path / "taxeld" / "stream"
-    if by_hand:
-        own.parent.mkdir()
-        own.touch()
+    command = {"python": python, "node": node}[name](tmp_path)
+    if command is None:
+        pytest.skip(f"{NEEDS[name]}: not here")
     environ = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
-    command = [sys.executable, CLIENTS / "subscribe.py"]
-    with subprocess.Popen(command, env=environ, stderr=subprocess.PIPE, text=True) as client:
-        assert client.stderr is not None
-        line = client.stderr.readline()
-        client.kill()
-    assert line == f"listening at ipc://{own if by_hand else '/run/taxeld/stream'}\n"
+    own = f"ipc://{tmp_path}/taxeld/stream"
+    with (
+        subprocess.Popen(
+            command, env=environ, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        ) as client,
+        Sockets() as sockets,
+    ):
+        try:
+            assert client.stderr is not None
+            lines = [client.stderr.readline().decode() for _ in range(2)]
+            assert lines == [f"listening at {at}\n" for at in ("ipc:///run/taxeld/stream", own)]
+            (tmp_path / "taxeld").mkdir()
+            daemon = sockets.open(zmq.XPUB)
+            daemon.bind(own)
+            assert daemon.poll(1000 * PATIENCE_S), "it has not subscribed"
+        finally:
+            client.kill()
 
 
 def test_plotjugglers_layout_plots_keys_that_are_sent_and_fills_each_of_its_panes() -> None:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -53,7 +54,7 @@ class Doorkeeper:
         self.starts = 0
         self._settings = settings
         self._stops = threading.Event()
-        self._started: _Started | None = None
+        self._started: deque[_Started] = deque()  # by this thread for the loop's
         self._process: subprocess.Popen[bytes] | None = None  # the one that the loop has met
         self._refused: subprocess.Popen[bytes] | None = None  # the last that has stated a fault
         self._was_ready = False
@@ -81,10 +82,9 @@ class Doorkeeper:
     def look(self, link: Link, now_s: float) -> None:
         """Give `link` a restarted door, read its packets, and kill a door that `link` dropped;
         `now_s` is monotonic."""
-        started, self._started = self._started, None
-        if started is not None:
-            link.attach(started.end, now_s)
-            self._process = started.process
+        while self._started:
+            end, self._process = self._started.popleft()
+            link.attach(end, now_s)
         link.look(now_s)
         if link.fault and self._was_ready:
             log.error("door: %s", link.fault)
@@ -96,13 +96,14 @@ class Doorkeeper:
     def close(self) -> None:
         """Wait until the door, whose pair has been let go, has ended."""
         self._stops.set()
-        if self._started is not None:
-            self._started.end.close()
+        unmet = [*self._started]
+        for started in unmet:
+            started.end.close()
         if self._thread.ident is None:
             return
         self._thread.join(STOP_S)
         met = [self._process] if self._process else []
-        for process in (*met, *([self._started.process] if self._started else [])):
+        for process in (*met, *(started.process for started in unmet)):
             if self._thread.is_alive():
                 process.kill()
         self._thread.join(STOP_S)
@@ -151,7 +152,7 @@ class Doorkeeper:
         self.starts += 1
         with contextlib.suppress(OSError):  # at once: a door that is starting has the loop's score
             Path(f"/proc/{process.pid}/oom_score_adj").write_text(str(OOM_SCORE), encoding="ascii")
-        self._started = _Started(loops, process)
+        self._started.append(_Started(loops, process))
         if self._stops.is_set():
             loops.close()
         return process

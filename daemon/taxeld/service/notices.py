@@ -5,6 +5,7 @@ service manager bounds how many lines there are (LogRateLimitBurst=).
 """
 
 import logging
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from taxeld.skin.channels import Wiring, mismatch
 
 SURE = 0.99  # least probability of an object that is named
 GRAVE = (Status.STALE, Status.BLIND, Status.INCONSISTENT)
+STATUS_S, STATUS_MOST_S = 0.5, 10.0  # pause after a line on the status; it doubles while that flaps
 MODULES_LOOKS = 3  # seconds without another module, after which some are said to be missing
 
 log = logging.getLogger(__name__)
@@ -35,6 +37,7 @@ class Notices:
         self._names = names
         self._object = 0 if len(names) == 1 else -1  # number of the last one that was logged
         self._status: tuple[Status, Why] | None = None  # the last, and why it was not valid
+        self._logged_s, self._pause_s = -math.inf, STATUS_S  # of that line
         self._said: dict[str, str] = {}  # the last line on each subject
         self._looks = 0  # since the modules of a hub have changed
 
@@ -52,15 +55,18 @@ class Notices:
         ]
         log.info("ready: %s", "; ".join(parts))
 
-    def estimate(self, estimate: Estimate, why: Why, reason: str) -> None:
+    def estimate(self, estimate: Estimate, why: Why, reason: str, now_s: float) -> None:
         """Log a published estimate if its status, or why it is not valid, has changed; `reason`:
-        the same in words. So is the object, once it is known."""
+        the same in words. So is the object, once it is known. `now_s` is monotonic."""
         if estimate.objects:
             self._name(estimate)
         status = estimate.status
-        if (status, why) == self._status:
+        passed_s = now_s - self._logged_s
+        if (status, why) == self._status or passed_s < self._pause_s:
             return
-        self._status = status, why
+        flaps = passed_s < 2.0 * self._pause_s
+        self._pause_s = min(2.0 * self._pause_s, STATUS_MOST_S) if flaps else STATUS_S
+        self._status, self._logged_s = (status, why), now_s
         x, y, yaw = estimate.map
         line = f"{status.name.lower()}, {'not ' if reason else ''}valid"
         line += f", {estimate.contacts} contacts"

@@ -178,7 +178,7 @@ class Publisher:
         before, self._why = self._why, freshness.why(estimate, now_s)
         if self._why is not before:
             self._link.tell(self._state())
-        self._notices.estimate(estimate, self._why, self._reason())
+        self._notices.estimate(estimate, self._why, self._reason(), now_s)
         self._estimate_sent = messages.estimate(
             estimate,
             names=self._names,
