@@ -46,7 +46,7 @@ class Run:
     skin: Skin
     estimator: Estimator
     is_touched: bool = False
-    believing: bool = True
+    has_object: bool = True
 
     def __post_init__(self) -> None:
         text = f'[source]\nkind = "can"\nchannel = "can0"\n[skin]\nstate_dir = "{self.place}"\n'

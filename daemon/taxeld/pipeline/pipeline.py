@@ -13,6 +13,7 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import Config
+from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.history import Used
@@ -21,7 +22,6 @@ from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
-from taxeld.pipeline.believing import Believing
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
@@ -36,6 +36,7 @@ from taxeld_protocol.decoder import Scan
 
 SILENT_PERIODS = 3.0  # scan periods without a scan: a hub is silent, all is stale
 NO_OBJECT = "there is no object (scene.bundle is empty)"
+CONTACTS, LEAST_CONTACTS = 12, 4  # contacts of a lesson, and of one before all is forgotten
 NOTHING = Estimate(  # without an object: it carries the status of the inputs, and is not published
     t=0.0,
     status=Status.SEARCHING,
@@ -99,9 +100,10 @@ class Pipeline:
             )
             for k, one in enumerate(each)
         ]
-        self.believing: Believing | None = None  # None: without an object
+        self._learns = config.skin.learn and config.filter.motion == "none"
+        self._estimator: Estimator | None = None  # None: without an object
         if objects:
-            self.believing = Believing(config, objects, samples, self.stages)
+            self._estimator = estimator_of(config, objects, samples)
         self.estimate = self.freshness.judged(self._believed)
         self.thinks_at_once = True  # whether a scan's second opinion is part of the work on it
         self._stepped_s = 0.0  # total steps of the Unix clock since start [s]
@@ -132,8 +134,13 @@ class Pipeline:
     @property
     def estimator(self) -> Estimator:
         """Of the objects, of which there is one at least."""
-        assert self.believing is not None  # noqa: S101
-        return self.believing.estimator
+        assert self._estimator is not None  # noqa: S101
+        return self._estimator
+
+    @property
+    def has_object(self) -> bool:
+        """Whether there is an object, and so an estimator."""
+        return self._estimator is not None
 
     @property
     def skin(self) -> Skin:
@@ -163,17 +170,17 @@ class Pipeline:
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do, and no scan waits."""
-        if self.believing is None or self.has_waiting:
+        if self._estimator is None or self.has_waiting:
             return False
-        return self.believing.estimator.has_thought
+        return self._estimator.has_thought
 
     def think(self) -> Outcome | None:
         """Think as `Estimator.think` does; → the estimate where that has changed, and the time of
         this work."""
-        if self.believing is None:
+        if self._estimator is None:
             return None
         began = self._clocks()
-        if not self.believing.estimator.think():
+        if not self._estimator.think():
             return None
         self.estimate = self.freshness.judged(replace(self._believed, t=self.estimate.t))
         return Outcome(self.estimate, None, None, 0, *self._spent_since(*began))
@@ -193,7 +200,7 @@ class Pipeline:
 
     def health(self) -> dict[str, Any]:
         """Counters of the estimator, and of the first link's skin, since start."""
-        counted = EstimatorCounters() if self.believing is None else self.estimator.counters
+        counted = EstimatorCounters() if self._estimator is None else self._estimator.counters
         return {
             "estimator": {
                 "scans": counted.scans,
@@ -218,32 +225,44 @@ class Pipeline:
 
     def reset(self) -> str:
         """Forget all touches; → why that cannot be done, empty where it was."""
-        if self.believing is None:
+        if self._estimator is None:
             return f"{NO_OBJECT}, so there is nothing to forget"
-        self.believing.reset()
+        self._teach(LEAST_CONTACTS)
+        self.samples.begin_anew()
+        self._estimator.reset()
         self.estimate = self.freshness.judged(self._believed)
         return ""
 
     def restore(self, scans: Sequence[Used]) -> None:
         """Learn again from what an earlier daemon has felt."""
-        if scans and self.believing is not None:
-            self.believing.restore(scans)
+        if scans and self._estimator is not None:
+            self._estimator.restore(scans)
             self.estimate = self.freshness.judged(self._believed)
 
     def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
-        """As `Believing.tell`."""
-        if self.believing is None:
+        """Take a prior of the objects numbered `of`, else of any; → why it cannot be taken, empty
+        where it was."""
+        if self._estimator is None:
             return NO_OBJECT
+        if self.config.filter.injection != "mixture":
+            return "prior: needs filter.injection = mixture"
         before = self._believed
-        why = self.believing.tell(pose, of)
+        self._estimator.tell(pose, of)
         if self._believed is not before:
             self.estimate = self.freshness.judged(later(self._believed, self._stepped_s))
-        return why
+        return ""
+
+    def _teach(self, least: int) -> None:
+        """Have a sure belief teach the skins, once it can tell of so many contacts more."""
+        for number, stage in enumerate(self.stages if self._learns else ()):
+            lesson = self.estimator.taught(least, number)
+            if lesson is not None:
+                stage.skin.teach(lesson)
 
     @property
     def _believed(self) -> Estimate:
         """The estimate of the belief, whatever became of the inputs since."""
-        return NOTHING if self.believing is None else self.believing.estimate
+        return NOTHING if self._estimator is None else self._estimator.estimate
 
     def _next(self) -> LinkStage:
         """The link whose first waiting scan is the earliest of all links'."""
@@ -277,17 +296,18 @@ class Pipeline:
     def _believe(self, activation: Activation, sensor: Poses, link: int) -> tuple[int, int]:
         """Learn from a link's activation at its sensor's pose (3,); → the time that samples took,
         and that all the rest took [ns]."""
-        if self.believing is None:
+        if self._estimator is None:
             felt = replace(NOTHING, t=activation.t, contact=self.is_touched)
             self.estimate = self.freshness.judged(later(felt, self._stepped_s))
             return 0, 0
         began = self._clocks()
-        self.believing.on_scan(activation, sensor, link)
         if self.thinks_at_once:
-            self.believing.settle()
+            self._estimator.on_scan(activation, sensor, link)
+        else:
+            self._estimator.learn(activation, sensor, link)
         spent_ns = self._spent_since(*began)
         if not self._believed.contact:
-            self.believing.teach()
+            self._teach(CONTACTS)
         self.estimate = self.freshness.judged(later(self._believed, self._stepped_s))
         return spent_ns
 
@@ -306,6 +326,16 @@ class Pipeline:
         t = scan.t + self._stepped_s
         self.estimate = self.freshness.judged(replace(self.estimate, t=t))
         return Outcome(self.estimate, skin_ns=skin_ns, link=link)
+
+
+def estimator_of(
+    config: Config, objects: Sequence[ObservationModel], samples: Samples
+) -> Estimator:
+    """The estimator of the objects, of which `samples` are."""
+    first, *more = objects
+    others = [Known(one, samples.of(k), samples.beside(one)) for k, one in enumerate(more, 1)]
+    robot_m, own, beside = config.sensor_pose.sigma_m, samples.of(0), samples.beside(first)
+    return Estimator(first, own, config.filter, robot_m, others, beside)
 
 
 def _reach_m(model: ObservationModel) -> float:

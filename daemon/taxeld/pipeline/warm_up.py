@@ -8,7 +8,7 @@ from taxeld.config.tables import Config
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
-from taxeld.pipeline.believing import Believing
+from taxeld.pipeline.pipeline import estimator_of
 from taxeld.proposals.samples import Samples
 
 TOUCHES = 5
@@ -19,11 +19,10 @@ def warm_up(config: Config, objects: Sequence[ObservationModel], samples: Sample
     rng, model = np.random.default_rng(0), objects[0]
     radius_m, depth_m = model.layout.radius_m, model.depth_max_m
     poses = contacts.synthesise(model.scene, radius_m, depth_m, 8 * TOUCHES, rng).pose[:TOUCHES]
-    subject = Believing(config, objects, samples)
+    subject = estimator_of(config, objects, samples)
     live = np.ones(len(model.layout), dtype=np.bool_)
     for k, pose in enumerate(poses):
         pressed = model.activation(pose[None])[0]
         silent = 0.0 * pressed
         for after_s, z in ((0.0, pressed), (0.05, pressed), (0.1, silent), (0.5, silent)):
-            subject.on_scan(Activation(k + after_s, z, live), se2.inverse(pose), 0)
-            subject.settle()
+            subject.on_scan(Activation(k + after_s, z, live), se2.inverse(pose))

@@ -43,7 +43,7 @@ class Store:
         if self._file and self._found and self._found.get("version") != VERSION:
             self._file.warn("it is of another version: skin and object are learned again")
             self._found = {}
-        self._estimator = pipeline.estimator if pipeline.believing else None
+        self._estimator = pipeline.estimator if pipeline.has_object else None
         self._keep_s = config.filter.keep_s if config.filter.motion == "none" else 0.0
         self._digest = self._estimator.digest if self._estimator and self._keep_s else ""
         self._written_s, self._changes, self._captures = -math.inf, 0, 0
