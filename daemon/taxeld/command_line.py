@@ -25,7 +25,6 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 EXTRAS = {  # extra of pyproject.toml → modules that only it installs
     "view": ("contourpy", "matplotlib", "rich", "rerun"),
     "calibrate": ("scipy", "matplotlib"),
-    "export": ("mcap_ros2",),
     "train": (
         "torch",
         "onnx",

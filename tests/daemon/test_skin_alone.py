@@ -23,7 +23,6 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.ladder import Ladder
 from taxeld.stream import client, messages
-from taxeld.view.export import export
 from taxeld.view.stage import recorded
 from taxeld.view.watch import Page
 from tests.rig.configurations import config, configuration
@@ -151,15 +150,13 @@ def test_the_page_of_a_terminal_shows_the_patches(ran: dict[str, list[Any]]) -> 
     assert f"{1e3 * patch['world_position']['y']:.1f}" in shown(page, 0.0)
 
 
-def test_a_session_without_an_object_is_drawn_and_exported(tmp_path: Path) -> None:
+def test_a_session_without_an_object_is_drawn(tmp_path: Path) -> None:
     write_session(tmp_path)
     configuration(tmp_path, **NO_SCENE)
     stage, heard = recorded(tmp_path)
     assert stage.things == []
     topics = Counter(topic for topic, _ in heard)
     assert topics.keys() == {messages.TAXELS, messages.CONTACTS}
-    written = export(tmp_path, tmp_path / "out.mcap")
-    assert written["/taxeld/taxels"] == topics[messages.TAXELS]
 
 
 def test_init_writes_a_configuration_without_an_object(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ pytest.importorskip("rosbags")
 from cyclonedds.core import DDSException
 from rosbags.typesys import Stores, get_typestore
 
+from taxeld.estimator.estimate import Status
 from taxeld.view import ros
 from taxeld_ros2 import dds
 from taxeld_ros2.markers import ADD, DELETE, FAINTEST, markers
@@ -90,3 +91,25 @@ def test_a_message_that_dds_does_not_take_is_counted_and_said_once(
     assert output.lost == 3
     (line,) = [record.message for record in caplog.records]
     assert line.startswith("/taxeld/pose: 1 messages were lost (")
+
+
+@pytest.mark.parametrize("status", [*Status, 99], ids=str)
+def test_every_status_has_a_level_and_its_name(status: int) -> None:
+    estimate = {**documented("/taxeld/estimate")[1], "status": int(status)}
+    health = documented("/taxeld/health")[1]
+    (told,) = ros.diagnostics(5.0, "taxeld", estimate, health)["status"]
+    assert told["message"] == getattr(status, "name", "unknown (99)").lower()
+    good = {Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED}
+    assert (told["level"] == ros.OK) == (status in good)
+    values = {kv["key"]: kv["value"] for kv in told["values"]}
+    assert values["dead taxels"] == "4 17 30"
+    assert (values["p"], values["radius_m"], values["moved"]) == ("0.996", "0.0088", "0.0015")
+
+
+@pytest.mark.parametrize("t", [1700000005.121, 1.9999999999, 0.0, 1795357978.776642])
+def test_a_stamp_is_the_measurements_time_and_its_nanoseconds_are_less_than_a_second(
+    t: float,
+) -> None:
+    stamp = ros.header(t)["stamp"]
+    assert 0 <= stamp["nanosec"] < 1_000_000_000
+    assert stamp["sec"] + stamp["nanosec"] * 1e-9 == pytest.approx(t, abs=1e-6)

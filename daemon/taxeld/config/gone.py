@@ -4,7 +4,9 @@ A configuration's key (`table.key`), a command (`taxeld-hil draw`) or an option 
 stands here is refused with its line. The table is emptied at the next minor version.
 """
 
-GONE: dict[str, str] = {}
+GONE: dict[str, str] = {
+    "taxeld export": "run taxeld-ros2 and record its topics with 'ros2 bag'",
+}
 
 
 def why(name: str) -> str | None:

@@ -1,4 +1,4 @@
-"""The commands `view`, `watch`, `advise` and `export`."""
+"""The commands `view`, `watch` and `advise`."""
 
 import argparse
 import math
@@ -29,11 +29,6 @@ def add(commands: Commands) -> None:
     add_endpoint(advise, "where the daemon publishes")
     advise.add_argument("--json", action="store_true", help="the message as JSON, one a line")
     advise.add_argument("--follow", action="store_true", help="each new advice, until stopped")
-
-    export = documented(commands, _export)
-    export.add_argument("session", type=Path, metavar="SESSION")
-    export.add_argument("--mcap", type=Path, required=True, metavar="FILE", help="to be written")
-    export.add_argument("--config", type=Path, help="in place of the session's own config.toml")
 
 
 def _view(args: argparse.Namespace) -> int:
@@ -87,18 +82,6 @@ def _advise(args: argparse.Namespace) -> int:
     where, ends = _endpoint(args.endpoint, args.config), stopping()
     told = advise(where, args.keys, ends, as_json=args.json, follow=args.follow)
     return 0 if told else FAILED
-
-
-def _export(args: argparse.Namespace) -> int:
-    """Write a session as ROS 2 messages, for Foxglove and 'ros2 bag'.
-
-    taxeld export session --mcap session.mcap
-    """
-    from taxeld.view.export import export
-
-    written = export(args.session, args.mcap, args.config)
-    print("\n".join([f"written: {args.mcap}", *(f"{n:8d}  {t}" for t, n in written.items())]))
-    return 0
 
 
 def _endpoint(named: str | None, config: Path | None) -> str:

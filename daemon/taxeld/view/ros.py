@@ -1,7 +1,6 @@
 """The daemon's streams as ROS 2 messages: plain maps by the names of their fields.
 
-The MCAP export and the bridge `taxeld_ros2` both send these. Fields that are left out are zero or
-empty. Lengths are metres, angles radians, times Unix seconds.
+Fields that are left out are zero or empty. Lengths are metres, angles radians, times Unix seconds.
 """
 
 import math
@@ -10,15 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.freshness import Why
 from taxeld.stream.messages import name_of, object_of
 
 Map = dict[str, Any]
 
-WORLD, SENSOR = "world", "taxeld_sensor"  # frames of the robot's poses and of the skin
-FLOAT32, UINT8 = 7, 2  # sensor_msgs/PointField
+WORLD = "world"  # frame of the robot's poses
 OK, WARN, STALE = 0, 1, 3  # diagnostic_msgs/DiagnosticStatus
 LEVELS = {
     Status.STARTING: WARN,
@@ -30,12 +27,8 @@ LEVELS = {
     Status.INCONSISTENT: WARN,
 }
 SILENT = "the daemon is silent"
-POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("live", "u1")], align=True
-)
 IN_6X6 = [0, 1, 5]  # places of x, y and yaw among x, y, z, roll, pitch, yaw
 UNKNOWN = 1e6  # variance of the others, which are not measured, as robot_localization has it
-RULE = "=" * 80  # parts of a definition stand between such lines (mcap.dev/spec/registry)
 
 # Fields as the `.msg` files of Humble and later have them, in the order of the wire
 TYPES = {
@@ -68,11 +61,6 @@ TYPES = {
     "diagnostic_msgs/DiagnosticArray": (
         "std_msgs/Header header, diagnostic_msgs/DiagnosticStatus[] status"
     ),
-    "sensor_msgs/PointField": "string name, uint32 offset, uint8 datatype, uint32 count",
-    "sensor_msgs/PointCloud2": (
-        "std_msgs/Header header, uint32 height, uint32 width, sensor_msgs/PointField[] fields, "
-        "bool is_bigendian, uint32 point_step, uint32 row_step, uint8[] data, bool is_dense"
-    ),
     "sensor_msgs/CompressedImage": "std_msgs/Header header, string format, uint8[] data",
     "visualization_msgs/UVCoordinate": "float32 u, float32 v",
     "visualization_msgs/MeshFile": "string filename, uint8[] data",
@@ -93,16 +81,6 @@ def fields(name: str) -> list[tuple[str, str]]:
     """Type and name of each field of `package/Type`, in the order of the wire."""
     pairs = (field.split(" ") for field in TYPES[name].split(", "))
     return [(kind, field) for kind, field in pairs]
-
-
-def definition(name: str) -> str:
-    """The text of `package/Type` and of all types that it refers to, as an MCAP file has it."""
-    needed = [name]
-    for one in needed:
-        kinds = (kind.partition("[")[0] for kind, _ in fields(one))
-        needed += [kind for kind in kinds if kind in TYPES and kind not in needed]
-    first, *others = (f"MSG: {one}\n" + TYPES[one].replace(", ", "\n") for one in needed)
-    return f"\n{RULE}\n".join([first.partition("\n")[2], *others])
 
 
 def header(t: float, frame: str = WORLD) -> Map:
@@ -136,43 +114,7 @@ def pose_array(t: float, poses: Iterable[Map], frame: str = WORLD, z_m: float = 
     return {"header": header(t, frame), "poses": [pose(one, z_m) for one in poses]}
 
 
-def pose_stamped(t: float, planar: Poses) -> Map:
-    """`planar`: (3,) x, y, yaw."""
-    x, y, theta = map(float, planar)
-    return {"header": header(t), "pose": pose({"x": x, "y": y, "theta": theta})}
-
-
-def transform(taxels: Map) -> Map:
-    """The sensor's frame in the world, of `/taxeld/taxels`."""
-    at = pose(taxels["sensor"])
-    moved = {"translation": at["position"], "rotation": at["orientation"]}
-    one = {"header": header(taxels["t"]), "child_frame_id": SENSOR, "transform": moved}
-    return {"transforms": [one]}
-
-
-def point_cloud(taxels: Map, position_m: Floats) -> Map:
-    """The taxels at `position_m` (M, 3), with their activation as intensity, and which live."""
-    points = np.zeros(len(position_m), POINT)
-    points["x"], points["y"], points["z"] = position_m.T
-    points["intensity"], points["live"] = taxels["z"], taxels["live"]
-    kinds = {"live": UINT8}
-    return {
-        "header": header(taxels["t"], SENSOR),
-        "height": 1,
-        "width": len(points),
-        "fields": [
-            {"name": name, "offset": field[1], "datatype": kinds.get(name, FLOAT32), "count": 1}
-            for name, field in (POINT.fields or {}).items()
-        ],
-        "is_bigendian": False,
-        "point_step": POINT.itemsize,
-        "row_step": points.nbytes,
-        "data": points.tobytes(),
-        "is_dense": True,
-    }
-
-
-def diagnostics(t: float, name: str, e: Map, health: Map | None = None, hardware: str = "") -> Map:
+def diagnostics(t: float, name: str, e: Map, health: Map | None = None) -> Map:
     """The status of an estimate, and its values that have no place in a pose; `e` is empty where no
     daemon is heard. `health` adds times and faults."""
     level, message, values = STALE, SILENT, {}
@@ -207,7 +149,7 @@ def diagnostics(t: float, name: str, e: Map, health: Map | None = None, hardware
         "level": level,
         "name": name,
         "message": message,
-        "hardware_id": hardware,
+        "hardware_id": "",
         "values": [{"key": key, "value": str(value)} for key, value in values.items()],
     }
     return {"header": header(t, ""), "status": [status]}
