@@ -16,8 +16,8 @@ from taxeld.pipeline.freshness import Why
 from taxeld.proposals import several
 from taxeld_hil.grade.grade import Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
+from taxeld_hil.run.contact_table import ContactTable
 from taxeld_hil.run.fake_run import FakeRun
-from taxeld_hil.run.watch import ContactTable
 from taxeld_hil.scenario import scenario
 
 from .rig import MODEL, PLACED

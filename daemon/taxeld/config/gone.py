@@ -5,6 +5,7 @@ stands here is refused with its line. The table is emptied at the next minor ver
 """
 
 GONE: dict[str, str] = {
+    "taxeld-hil watch": "'taxeld status' prints what a daemon believes, 'taxeld view' draws it",
     "taxeld export": "run taxeld-ros2 and record its topics with 'ros2 bag'",
 }
 
