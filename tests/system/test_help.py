@@ -143,7 +143,6 @@ def test_the_table_of_extras_is_that_of_the_project() -> None:
 
 WITHOUT = [
     ("taxeld-train", ["build", "x.stl", "--out", "{place}/x"], "train"),
-    ("taxeld", ["watch", "--endpoint", "ipc://{place}/x"], "view"),
     ("taxeld", ["view", "--save", "{place}/x"], "view"),
     ("taxeld", ["calibrate", "{place}", "--out", "{place}/x"], "calibrate"),
     ("taxeld-ros2", ["--stream", "ipc://{place}/stream"], "ros2"),

@@ -5,7 +5,9 @@ stands here is refused with its line. The table is emptied at the next minor ver
 """
 
 GONE: dict[str, str] = {
+    "taxeld watch": "'taxeld status' prints what a daemon believes, 'taxeld view' draws it",
     "taxeld-hil watch": "'taxeld status' prints what a daemon believes, 'taxeld view' draws it",
+    "--web": "use --save FILE, and where the browser is: rerun --web-viewer FILE",
     "taxeld export": "run taxeld-ros2 and record its topics with 'ros2 bag'",
 }
 

@@ -1,7 +1,9 @@
-"""The commands `view`, `watch` and `advise`."""
+"""The commands `view` and `advise`."""
 
 import argparse
 import math
+import sys
+from itertools import chain
 from pathlib import Path
 
 from taxeld.command_line import FAILED, Commands, add_endpoint, add_keys, documented, stopping
@@ -13,17 +15,13 @@ from taxeld.errors import SetupError
 
 def add(commands: Commands) -> None:
     view = documented(commands, _view)
-    about = "of a running daemon, which adds the object's slices, or recorded"
+    about = "of a running daemon, or recorded"
     view.add_argument("source", type=Path, nargs="?", metavar="CONFIG|SESSION", help=about)
     view.add_argument("--endpoint", help="where the daemon publishes")
     add_keys(view)
     about = "of scans to show, from the first on"
     view.add_argument("--seconds", type=float, default=math.inf, metavar="S", help=about)
-    where = view.add_mutually_exclusive_group()
-    where.add_argument("--save", type=Path, metavar="FILE", help="into an .rrd file, no viewer")
-    where.add_argument("--web", action="store_true", help="serve it to a browser of this machine")
-
-    add_endpoint(documented(commands, _watch), "where the daemon publishes")
+    view.add_argument("--save", type=Path, metavar="FILE", help="into an .rrd file, no window")
 
     advise = documented(commands, _advise)
     add_endpoint(advise, "where the daemon publishes")
@@ -35,36 +33,34 @@ def _view(args: argparse.Namespace) -> int:
     """Show a running daemon or a session in three dimensions, with plots.
 
     taxeld view
-    taxeld view can0.toml
-    taxeld view session --save session.rrd
+    taxeld view can0.toml --save live.rrd --seconds 60
+    taxeld view session
     """
+    from taxeld.commands.unanswered import unanswered
     from taxeld.view import view
-    from taxeld.view.stage import recorded, scenes_of
+    from taxeld.view.picture import Picture
 
-    source = args.source
+    source, ends = args.source, stopping()
     if not args.seconds > 0.0:
         raise SetupError("--seconds: must be more than 0")
-    target = view.Destination(args.save, args.web, args.seconds, stopping())
     if source is not None and (source.is_dir() or source.suffix != ".toml"):
         if args.endpoint or args.keys:
             raise SetupError("--endpoint, --keys: are for a running daemon, not for a session")
-        if not view.show(*recorded(source), target) and not target.stopping():
-            raise SetupError(f"{source}: holds no scan to show")
-        return 0
-    scenes = [] if source is None else scenes_of(load(source))
-    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, scenes, target) else FAILED
-
-
-def _watch(args: argparse.Namespace) -> int:
-    """Show what a running daemon feels and believes, in the terminal.
-
-    taxeld watch
-    taxeld watch can0.toml
-    taxeld watch --endpoint tcp://127.0.0.1:9872
-    """
-    from taxeld.view.watch import watch
-
-    watch(_endpoint(args.endpoint, args.config), args.keys, stopping())
+        picture, heard = view.recorded(source)
+    else:
+        where = _endpoint(args.endpoint, source)
+        picture, heard = Picture(), view.live(where, args.keys, ends)
+        first = next(heard, None)
+        if first is None:
+            print("stopped" if ends() else unanswered(where), file=sys.stderr)
+            return FAILED
+        heard = chain([first], heard)
+    begun = view.begun(heard, args.seconds, ends)
+    if args.save is None:
+        view.show(picture, begun, ends)
+    else:
+        view.save(picture, begun, args.save)
+        print(f"written: {args.save}; see it with: rerun {args.save}")
     return 0
 
 
