@@ -27,7 +27,6 @@ from taxeld.proposals.sampler import Sampler
 from taxeld.service.loop import Daemon
 from taxeld.service.notices import Notices
 from taxeld.stream import messages
-from taxeld.view import ros
 from tests.rig.commands import refused
 from tests.rig.configurations import config
 from tests.rig.recorded import configuration as recorded
@@ -164,8 +163,6 @@ def test_an_estimate_names_each_object_and_none_of_them(three: list[Bundle]) -> 
     assert {mode["object"] for mode in message["modes"]} <= {0, 1, 2}
     assert messages.object_of(message) == "025_mug 70.0%"
     assert dict(estimate_rows(message))["Object"] == "025_mug 70.0%"
-    (status,) = ros.diagnostics(0.0, "taxeld", message)["status"]
-    assert {"key": "object", "value": "025_mug 70.0%"} in status["values"]
 
 
 def test_info_describes_each_object_by_its_number(three: list[Bundle]) -> None:

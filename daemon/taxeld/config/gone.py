@@ -7,6 +7,9 @@ stands here is refused with its line. The table is emptied at the next minor ver
 GONE: dict[str, str] = {
     "taxeld watch": "'taxeld status' prints what a daemon believes, 'taxeld view' draws it",
     "taxeld-hil watch": "'taxeld status' prints what a daemon believes, 'taxeld view' draws it",
+    "--sensor-tf": "examples/tf_to_pose.py publishes a frame of tf for --sensor-topic",
+    "--sensor-endpoint": "CONFIG says where: sensor_pose.endpoint",
+    "--z-m": "name a frame at that height with --frame",
     "--web": "use --save FILE, and where the browser is: rerun --web-viewer FILE",
     "taxeld export": "run taxeld-ros2 and record its topics with 'ros2 bag'",
 }
