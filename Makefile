@@ -123,5 +123,5 @@ clean:
 	touch $@
 
 .venv/.all: .venv/.runtime
-	$(PIP) -e '.[train,calibrate,view,export,ros2,dev,dask]'
+	$(PIP) -e '.[train,calibrate,view,ros2,dev,dask]'
 	touch $@

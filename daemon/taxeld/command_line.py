@@ -23,9 +23,8 @@ FAILED, USAGE_ERROR = 1, 2
 STDERR = 2  # the last standard stream's number
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 EXTRAS = {  # extra of pyproject.toml → modules that only it installs
-    "view": ("contourpy", "matplotlib", "rich", "rerun"),
+    "view": ("matplotlib", "rerun"),
     "calibrate": ("scipy", "matplotlib"),
-    "export": ("mcap_ros2",),
     "train": (
         "torch",
         "onnx",

@@ -167,7 +167,9 @@ def _emulate(args: argparse.Namespace) -> int:
     """
     from taxeld_hil.run.emulate import emulate
 
-    _check_endpoint("--poses", args.poses)
+    fault = endpoints.fault(args.poses, has_keys=True)
+    if fault:
+        raise SetupError(f"--poses: {fault}")
     scenario = _scenario(args).over("can" if args.can else "")
     if scenario.advised:
         raise SetupError(f"{args.scenario}: this robot hears no advice: taxeld-hil run has one")
@@ -175,18 +177,6 @@ def _emulate(args: argparse.Namespace) -> int:
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
     return 1
-
-
-def _watch(args: argparse.Namespace) -> int:
-    """Print a line for each contact that a running daemon publishes.
-
-    taxeld-hil watch --endpoint ipc:///run/taxeld/stream --bundle box
-    """
-    from taxeld_hil.run.watch import watch
-
-    _check_endpoint("--endpoint", args.endpoint)
-    watch(args.endpoint, args.bundle, args.layout, args.truth, _say)
-    return 0
 
 
 def _draw(args: argparse.Namespace) -> int:
@@ -199,12 +189,6 @@ def _draw(args: argparse.Namespace) -> int:
     draw(args.session, args.out)
     print(args.out)
     return 0
-
-
-def _check_endpoint(option: str, endpoint: str) -> None:
-    fault = endpoints.fault(endpoint, has_keys=True)
-    if fault:
-        raise SetupError(f"{option}: {fault}")
 
 
 def _scenario(args: argparse.Namespace, layout: str | None = None) -> "Scenario":
@@ -237,7 +221,6 @@ def _parser() -> argparse.ArgumentParser:
     _of_accept(add(_accept))
     measurements.add(commands)
     _of_emulate(add(_emulate))
-    _of_watch(add(_watch))
     _of_draw(add(_draw))
     return parser
 
@@ -309,14 +292,6 @@ def _of_emulate(made: argparse.ArgumentParser) -> None:
     where("--can", metavar="INTERFACE", help="CAN interface of this machine, such as vcan0")
     add("--poses", required=True, help="endpoint for the robot's poses")
     add("--out", type=Path, required=True, help="directory for the session")
-
-
-def _of_watch(made: argparse.ArgumentParser) -> None:
-    add = made.add_argument
-    add("--endpoint", required=True)
-    add("--bundle", required=True)
-    add("--layout", default="", help="default: what the bundle was built for")
-    add("--truth", type=Path, help="CSV of t,x,y,theta of the object; errors are printed")
 
 
 def _of_draw(made: argparse.ArgumentParser) -> None:

@@ -1,175 +1,125 @@
-"""The bridge: what the daemon publishes goes out as ROS 2 topics, and the skin's pose comes in.
+"""The bridge: what the daemon estimates goes out as ROS 2 topics, and the skin's pose comes in."""
 
-Estimates are passed on first, markers after them, so that these hold up no pose.
-"""
-
-import contextlib
 import logging
 import math
-import os
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import msgpack
 import zmq
 
-from taxeld.arrays import Floats
+from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
 from taxeld.service.notify import Notifier
-from taxeld.stream import messages
-from taxeld.view import ros
+from taxeld.stream.sockets import open_socket, why
+from taxeld.stream.topics import ESTIMATE, HEALTH, SENSOR_POSE
 from taxeld.view.streams import Subscriber
-from taxeld_ros2.dds import Participant
-from taxeld_ros2.markers import markers
-from taxeld_ros2.poses_in import FromTopic, FromTransforms, SensorPose
+from taxeld_ros2 import dds
 
-STEP_MS = 50
+STEP_S = 0.005  # longest time that a pose of the skin waits
 SILENT_S = 2.0  # after this long without an estimate no daemon is there
-DIAGNOSTICS_S = 1.0  # period of the diagnostics while the status stays
-MARKERS_S = 0.1  # shortest period of the markers
-DEPTH = 10  # messages kept for a reader, as ROS 2's own publishers do
-TOPICS = (messages.ESTIMATE, messages.HEALTH, messages.INFO, messages.PARTICLES)
+PATIENCE_S = 5.0  # without a pose of the skin before a line says so
+PERIOD_S = 1.0  # of the diagnostics while the status stays
+TILT_RAD = 0.1  # a link that leans farther from upright has no planar pose
 
 log = logging.getLogger(f"taxeld.{__name__}")  # the command writes the logs of taxeld
-
-
-@dataclass(frozen=True, slots=True)
-class BridgeSettings:
-    """Settings of the bridge, from its command line and the daemon's configuration."""
-
-    stream: str  # endpoint where the daemon publishes
-    frame: str = "world"  # frame_id of the object's poses
-    prefix: str = "taxeld"  # of the topics
-    z_m: float = 0.0  # height of the poses
-    keys: Path | None = None
-    sensor_endpoint: str = ""  # where the daemon expects the robot
-    sensor_frames: Sequence[str] | None = None  # the world's and the skin's, of transforms
-    sensor_topic: str = ""  # in place of transforms
 
 
 class Bridge:
     """Opened, until `close`."""
 
-    def __init__(self, settings: BridgeSettings) -> None:
-        """A daemon need not be there. Raises SetupError where a setting cannot be used."""
-        self._settings = settings
-        self._forwarded = 0
+    def __init__(self, stream: str, keys: Path | None, prefix: str, frame: str) -> None:
+        """`stream`: where a daemon publishes, or will; `prefix` begins the names of the topics, and
+        `frame` is that of their poses. Raises SetupError: one cannot be used, or DDS not be had."""
+        self._where, self._prefix, self._frame = stream, prefix, frame
         self._last: dict[bytes, dict[str, Any]] = {}  # message of each topic
-        self._outlines: list[Floats] = []  # by the numbers of the objects
-        self._heard_s = time.monotonic()
+        self._heard_s = self._posed_s = time.monotonic()
+        self._next_told_s = -math.inf  # the next diagnostics are due
         self._is_silent: bool | None = None  # None until a daemon is heard, or missed
-        self._next_diagnostics_s = self._next_markers_s = -math.inf
-        with contextlib.ExitStack() as opened:
-            self._streams = Subscriber(settings.stream, settings.keys, TOPICS, "--stream")
-            opened.callback(self._streams.close)
-            dds, name = Participant(), settings.prefix
-            kind = "geometry_msgs/PoseWithCovarianceStamped"
-            self._pose = dds.writer(f"{name}/pose", kind, DEPTH)
-            self._modes = dds.writer(f"{name}/modes", "geometry_msgs/PoseArray", DEPTH)
-            self._markers = dds.writer(f"{name}/markers", "visualization_msgs/MarkerArray", 1)
-            kind = "diagnostic_msgs/DiagnosticArray"
-            self._diagnostics = dds.writer("diagnostics", kind, DEPTH)
-            self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-            opened.callback(os.close, self._wake)
-            self._sensor = self._sensor_pose(dds, opened)
-            self._poller = zmq.Poller()
-            self._poller.register(self._streams.socket, zmq.POLLIN)
-            self._poller.register(self._wake, zmq.POLLIN)
-            self._opened = opened.pop_all()
+        self._dds = dds.participant()
+        self._pose = dds.writer(self._dds, f"{prefix}/pose", dds.SpreadStamped)
+        self._modes = dds.writer(self._dds, f"{prefix}/modes", dds.PoseArray)
+        self._diagnostics = dds.writer(self._dds, "diagnostics", dds.Diagnostics)
+        self._streams = Subscriber(stream, keys, [ESTIMATE, HEALTH], "--stream")
+        self._robot: zmq.Socket[Any] | None = None
+
+    def listen(self, topic: str, endpoint: str) -> None:
+        """Hand a topic's poses on, by an endpoint. Raises SetupError: it cannot be used."""
+        self._topic, self._said = f"/{topic.strip('/')}", ""  # the last line on the poses
+        context: zmq.Context[Any] = zmq.Context.instance()
+        self._reader = dds.reader(self._dds, topic, dds.PoseStamped)
+        self._robot = open_socket(context, zmq.PUB, send=1000, receive=1, largest=1024)
+        try:
+            self._robot.bind(endpoint)
+        except zmq.ZMQError as error:
+            fault = f"sensor_pose.endpoint: cannot publish at {endpoint} ({why(error)})"
+            raise SetupError(f"{fault}; is it another's, or of another machine?") from None
 
     def run(self, stopping: Callable[[], bool]) -> None:
-        """Until `stopping`.
-
-        Raises:
-            SetupError: the daemon speaks another version of the stream.
-        """
-        notifier = Notifier()
+        """Until `stopping`. Raises SetupError: the daemon speaks another version of the stream."""
+        notifier, step_s = Notifier(), 10.0 * STEP_S if self._robot is None else STEP_S
         notifier.ready()
-        try:
-            while not stopping():
-                self._step()
-                notifier.tick(time.monotonic(), self._status_line)
-        finally:
-            notifier.stopping()
+        while not stopping():
+            for topic, message in self._streams.wait(step_s):
+                if topic == ESTIMATE:
+                    self._on_estimate(message)
+                self._last[topic] = message
+            now_s = time.monotonic()
+            self._tell(now_s)
+            if self._robot is not None:
+                self._hand_on(self._robot, now_s)
+            notifier.tick(now_s, lambda _: f"{'no' if self._is_silent else 'a'} daemon is heard")
+        notifier.stopping()
 
     def close(self) -> None:
-        self._opened.close()
+        self._streams.close()
+        if self._robot is not None:
+            self._robot.close()
 
-    def _sensor_pose(self, dds: Participant, opened: contextlib.ExitStack) -> SensorPose | None:
-        settings = self._settings
-        source: FromTransforms | FromTopic
-        if settings.sensor_frames is not None:
-            world, skin = settings.sensor_frames
-            source = FromTransforms(dds, world, skin, self._woken)
-        elif settings.sensor_topic:
-            source = FromTopic(dds, settings.sensor_topic, self._woken)
-        else:
-            return None
-        context: zmq.Context[Any] = opened.enter_context(zmq.Context())
-        sensor = SensorPose(context, settings.sensor_endpoint, source)
-        opened.callback(sensor.close)
-        return sensor
-
-    def _woken(self) -> None:
-        """Called by a thread of DDS when a pose has come."""
-        with contextlib.suppress(BlockingIOError, OSError):
-            os.eventfd_write(self._wake, 1)
-
-    def _step(self) -> None:
-        self._poller.poll(STEP_MS)
-        with contextlib.suppress(BlockingIOError):
-            os.eventfd_read(self._wake)
-        if self._sensor is not None:
-            self._sensor.serve()
-        is_new = False
-        for topic, message in self._streams.wait(0.0):
-            if topic == messages.ESTIMATE:
-                is_new = True
-                self._on_estimate(message)
-            elif topic == messages.INFO:
-                self._outlines = [np.array(each["outline"]) for each in message["objects"]]
-            self._last[topic] = message
-        now_s = time.monotonic()
-        self._watch(now_s)
-        if is_new and self._outlines and now_s >= self._next_markers_s:
-            self._next_markers_s = now_s + MARKERS_S
-            estimate, cloud = self._last[messages.ESTIMATE], self._last.get(messages.PARTICLES, {})
-            frame, z_m = self._settings.frame, self._settings.z_m
-            self._markers.write(markers(estimate, cloud, self._outlines, frame, z_m))
-
-    def _on_estimate(self, estimate: dict[str, Any]) -> None:
+    def _on_estimate(self, e: dict[str, Any]) -> None:
         """Pose and modes of a scan's estimate are published while they may be used."""
-        before, settings = self._last.get(messages.ESTIMATE, {}), self._settings
-        t, frame, z_m = estimate["t"], settings.frame, settings.z_m
-        if estimate["valid"] and t != before.get("t"):
-            if ros.is_usable(estimate):
-                self._pose.write(ros.pose_with_covariance(estimate, frame, z_m))
-                self._forwarded += 1
-            self._modes.write(ros.pose_array(t, estimate["modes"], frame, z_m))
-        if any(estimate[key] != before.get(key) for key in ("status", "why")):
-            self._next_diagnostics_s = -math.inf
-        self._heard_s = time.monotonic()
+        before, self._heard_s = self._last.get(ESTIMATE, {}), time.monotonic()
+        if e["valid"] and e["t"] != before.get("t"):
+            if e["status"] == Status.CONVERGED:
+                dds.write(self._pose, dds.pose_with_covariance(e, self._frame))
+            modes = [dds.pose(one) for one in e["modes"]]
+            dds.write(self._modes, dds.PoseArray(dds.header(e["t"], self._frame), modes))
+        if any(e[key] != before.get(key) for key in ("status", "why")):
+            self._next_told_s = -math.inf
 
-    def _watch(self, now_s: float) -> None:
+    def _tell(self, now_s: float) -> None:
+        """Log whether a daemon is heard, and publish the diagnostics."""
         silent = now_s - self._heard_s > SILENT_S
-        if silent != self._is_silent and (silent or messages.ESTIMATE in self._last):
-            self._is_silent, self._next_diagnostics_s = silent, -math.inf
-            where, name = self._settings.stream, self._settings.prefix
+        if silent != self._is_silent and (silent or ESTIMATE in self._last):
+            self._is_silent, self._next_told_s = silent, -math.inf
             if silent:
                 self._last.clear()
-                log.warning("no daemon is heard at %s; is 'taxeld run' there? Waiting", where)
+                log.warning("no daemon is heard at %s; is 'taxeld run' there? Waiting", self._where)
             else:
-                served = f"/{name}/pose, /{name}/modes, /{name}/markers and /diagnostics"
-                log.info("ready: a daemon is heard at %s; published are %s", where, served)
-        estimate = self._last.get(messages.ESTIMATE, {})
-        if now_s >= self._next_diagnostics_s and (estimate or silent):
-            self._next_diagnostics_s = now_s + DIAGNOSTICS_S
-            health = self._last.get(messages.HEALTH)
-            name = f"{self._settings.prefix}: estimate"
-            self._diagnostics.write(ros.diagnostics(time.time(), name, estimate, health))
+                log.info("ready: a daemon is heard at %s", self._where)
+        if now_s >= self._next_told_s and (silent or ESTIMATE in self._last):
+            self._next_told_s, name = now_s + PERIOD_S, f"{self._prefix}: estimate"
+            last = self._last.get(ESTIMATE, {}), self._last.get(HEALTH, {})
+            dds.write(self._diagnostics, dds.diagnostics(time.time(), name, *last))
 
-    def _status_line(self, _: float) -> str:
-        heard = "a daemon is heard" if self._is_silent is False else "no daemon is heard"
-        return f"{heard}, {self._forwarded} poses passed on"
+    def _hand_on(self, robot: "zmq.Socket[Any]", now_s: float) -> None:
+        """Send the poses of the skin that have come. What else may be wrong the daemon says."""
+        fault = ""
+        for m in dds.taken(self._reader):
+            self._posed_s, t = now_s, m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec
+            x, y, z, w = (getattr(m.pose.orientation, axis) for axis in "xyzw")
+            length = x * x + y * y + z * z + w * w
+            if not (length > 0.0 and x * x + y * y <= length * math.sin(0.5 * TILT_RAD) ** 2):
+                fault = f"no sensor pose: its z axis is over {TILT_RAD} rad from upright"
+                continue
+            yaw = math.atan2(2.0 * (x * y + z * w), w * w + x * x - y * y - z * z)
+            body = {"t": t, "x": m.pose.position.x, "y": m.pose.position.y, "theta": yaw}
+            robot.send_multipart((SENSOR_POSE, msgpack.packb(body), b"%.6f" % t), zmq.NOBLOCK)
+        if now_s - self._posed_s > PATIENCE_S:
+            fault = f"no sensor pose: no PoseStamped comes on {self._topic}; look at "
+            fault += f"'ros2 topic info {self._topic}' and ROS_DOMAIN_ID"
+        if fault not in ("", self._said):
+            self._said = fault
+            log.warning(fault)

@@ -26,8 +26,6 @@ from taxeld.proposals.sampler import Sampler
 from taxeld.service.loop import Daemon
 from taxeld.service.notices import Notices
 from taxeld.stream import messages
-from taxeld.view import ros
-from taxeld.view.watch import Page
 from tests.rig.commands import refused
 from tests.rig.configurations import config, configuration
 from tests.rig.recorded import LiveSkin, golden, write_golden, write_session
@@ -144,17 +142,6 @@ def test_an_estimate_names_each_object_and_none_of_them(three: list[Bundle]) -> 
     assert {mode["object"] for mode in message["modes"]} <= {0, 1, 2}
     assert messages.object_of(message) == "025_mug 70.0%"
     assert dict(estimate_rows(message))["Object"] == "025_mug 70.0%"
-    (status,) = ros.diagnostics(0.0, "taxeld", message)["status"]
-    assert {"key": "object", "value": "025_mug 70.0%"} in status["values"]
-
-
-def test_the_page_of_a_terminal_says_which_object_it_is(three: list[Bundle]) -> None:
-    page = Page("ipc:///nowhere")
-    page.take((messages.INFO, messages.info(SKIN, several.scenes(three), "")), 0.0)
-    found = estimate_of(three, 0.2, 0.7, 0.05, number=1)
-    page.take((messages.ESTIMATE, messages.estimate(found, names=NAMES, seq=0, why=Why.VALID)), 0.0)
-    first = page.render(0.0).renderables[0]
-    assert str(first).startswith("taxeld 025_mug 70.0%  ipc://")
 
 
 def test_info_describes_each_object_by_its_number(three: list[Bundle]) -> None:

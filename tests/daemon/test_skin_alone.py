@@ -1,18 +1,15 @@
 """A daemon without an object: it serves the skin alone."""
 
-import io
 import json
 import subprocess
 import sys
 import time
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import msgpack
 import pytest
 import zmq
-from rich.console import Console
 
 from taxeld.cli import main
 from taxeld.commands import check, status
@@ -23,9 +20,6 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.samples import Samples
 from taxeld.stream import client, messages
-from taxeld.view.export import export
-from taxeld.view.stage import recorded
-from taxeld.view.watch import Page
 from tests.rig.configurations import config, configuration
 from tests.rig.recorded import LiveSkin, write_session
 from tests.rig.simulated_skin import SimulatedSkin
@@ -35,12 +29,6 @@ from ..rig.stream_page import documented, leaves
 
 NO_SCENE: dict[str, Any] = {"scene": {}}
 LOADED = "import sys; from taxeld import cli; cli.main(); print(*sys.modules)"
-
-
-def shown(page: Page, now_s: float) -> str:
-    out = io.StringIO()
-    Console(file=out, width=80, height=24, force_terminal=False).print(page.render(now_s))
-    return out.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -143,27 +131,6 @@ def test_check_notes_that_nothing_will_be_estimated(tmp_path: Path) -> None:
     whole = load(configuration(tmp_path, **NO_SCENE))
     assert check.faults(whole) == []
     assert check.notes(whole) == [check.ALONE]
-
-
-def test_the_page_of_a_terminal_shows_the_patches(ran: dict[str, list[Any]]) -> None:
-    page = Page("ipc:///nowhere")
-    page.take((messages.INFO, ran["info"][0]["info"]), 0.0)
-    page.take((messages.TAXELS, ran["/taxeld/taxels"][-1]), 0.0)
-    assert "nothing is touched" in shown(page, 0.0)
-    page.take((messages.CONTACTS, ran["/taxeld/contacts"][0]), 0.0)
-    (patch,) = ran["/taxeld/contacts"][0]["patches"]
-    assert f"{1e3 * patch['world_position']['y']:.1f}" in shown(page, 0.0)
-
-
-def test_a_session_without_an_object_is_drawn_and_exported(tmp_path: Path) -> None:
-    write_session(tmp_path)
-    configuration(tmp_path, **NO_SCENE)
-    stage, heard = recorded(tmp_path)
-    assert stage.things == []
-    topics = Counter(topic for topic, _ in heard)
-    assert topics.keys() == {messages.TAXELS, messages.CONTACTS}
-    written = export(tmp_path, tmp_path / "out.mcap")
-    assert written["/taxeld/taxels"] == topics[messages.TAXELS]
 
 
 def test_init_writes_a_configuration_without_an_object(tmp_path: Path) -> None:

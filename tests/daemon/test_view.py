@@ -1,40 +1,48 @@
 """`taxeld view`: a session's and a daemon's picture, and what stops it."""
 
-import re
+import contextlib
 import shutil
-import signal
 import subprocess
 import sys
 import threading
 from collections import Counter
-from collections.abc import Iterator
-from itertools import pairwise
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import msgpack
-import numpy as np
 import pytest
 import zmq
 
 pytest.importorskip("rerun")
 
 from taxeld.cli import main
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
 from taxeld.stream import messages
-from taxeld.view.picture import DEAD, QUIET, colours_of, slices_of
-from taxeld.view.stage import recorded
+from taxeld.view import view
+from taxeld.view.streams import NEEDED, Subscriber
 from tests.rig.commands import refused
+from tests.rig.configurations import configuration
+from tests.rig.recorded import write_session
 
 from .conftest import Sockets
 from .test_stream_document import documented
-from .test_watch import maps
 
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
-CONFIG = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
-ALWAYS = (
-    "/world/link /world/link/body /world/link/skin /world/object /world/object/slices /world/modes "
-    "/world/radius /world/particles /status/now /status/log /plot/belief /plot/spread"
-)
+TOPICS = messages.INFO, messages.TAXELS, messages.ESTIMATE, messages.PARTICLES
+ALWAYS = {
+    "/world/link",
+    "/world/link/skin",
+    "/world/object",
+    "/world/modes",
+    "/world/particles",
+    "/status",
+    "/plot/belief/p",
+    "/plot/spread/theta_deg",
+}
+WAIT_S = 60.0
+Maps = dict[bytes, dict[str, Any]]
 
 
 def entities(path: Path) -> Counter[str]:
@@ -57,90 +65,128 @@ def drawn(out: Path, *arguments: str) -> Counter[str]:
 
 def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(tmp_path: Path) -> None:
     whole = drawn(tmp_path / "run.rrd", str(SESSION))
-    assert whole.keys() >= set(ALWAYS.split())
-    said = list(recorded(SESSION)[1])
-    felt = [(m["z"], m["live"]) for topic, m in said if topic == messages.TAXELS]
-    always = 1  # a row for what stays as it is
-    changes = always + 1 + sum(a != b for a, b in pairwise(felt))
-    assert whole["/world/link/skin"] == changes > 20
+    assert whole.keys() >= ALWAYS
+    said = list(view.recorded(SESSION)[1])
     topics = Counter(topic for topic, _ in said)
-    assert whole["/world/particles"] == always + topics[messages.PARTICLES] > 4
+    assert whole["/world/link/skin"] == topics[messages.TAXELS] > 20
+    assert whole["/world/particles"] == topics[messages.PARTICLES] > 4
     valid = sum(m["valid"] for topic, m in said if topic == messages.ESTIMATE)
-    assert whole["/plot/spread"] == whole["/plot/belief"] == always + valid
-    assert 2 <= whole["/status/log"] < 50, "changes alone"
-    assert "/plot/error" not in whole, "nobody knows the truth of this session"
-    assert whole["/plot/latency"] == always, "a replay measures no time"
+    assert whole["/plot/belief/p"] == whole["/plot/spread/x_mm"] == valid
+    assert "/plot/error/add_mm" not in whole, "nobody knows the truth of this session"
     begin = drawn(tmp_path / "begin.rrd", str(SESSION), "--seconds", "2")
     assert 0 < begin["/world/link"] < whole["/world/link"] / 2
 
 
-def test_where_a_session_has_the_truth_the_error_is_that_of_the_true_pose(tmp_path: Path) -> None:
+def test_a_session_with_the_truth_has_the_true_pose_and_the_error(tmp_path: Path) -> None:
     place = Path(shutil.copytree(SESSION, tmp_path / "session"))
     (place / "truth.csv").write_text("t,x,y,theta\n1,0.1,0.2,0\n", encoding="ascii")
     found = drawn(tmp_path / "run.rrd", str(place))
     assert found["/world/truth"] == 1
-    assert found["/plot/error"] > 5
-    stage, _ = recorded(place)
-    estimate = documented("/taxeld/estimate")[1]
-    estimate["map"] = {"x": 0.103, "y": 0.204, "theta": 0.0}
-    assert stage.error_mm(estimate) == pytest.approx(5.0, abs=0.01)
-    assert stage.error_mm(estimate | {"valid": False}) is None
+    assert found["/plot/error/add_mm"] == found["/plot/belief/p"]
+
+
+def test_a_session_without_an_object_is_the_skin_alone(tmp_path: Path) -> None:
+    write_session(tmp_path)
+    configuration(tmp_path, scene={})
+    found = drawn(tmp_path / "run.rrd", str(tmp_path))
+    assert "/world/link/skin" in found
+    assert not found.keys() & {"/world/object", "/status"}
+
+
+def maps() -> Maps:
+    """A message of each topic that is drawn, as documented, of a skin with two pressed taxels."""
+    made = {topic: documented(topic.decode())[1] for topic in TOPICS}
+    positions = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015").position_m
+    made[messages.INFO]["layout"] |= {"position_m": positions.tolist()}
+    z = [0.45, *[0.0] * (len(positions) - 2), 1.0]
+    made[messages.TAXELS] |= {"z": z, "live": [True] * len(z)}
+    return made
+
+
+def restarted(number: int, said: Maps) -> Maps:
+    """The same daemon, and from the tenth scan on one that knows a second object and has another
+    skin; its info comes ten scans late."""
+    if number >= 10:
+        info = said[messages.INFO]
+        for one in (said[messages.ESTIMATE], *said[messages.ESTIMATE]["modes"]):
+            one["object"] = 1
+        said[messages.TAXELS] |= {"z": [0.5], "live": [True]}
+        info["objects"] = info["objects"][:1] * 2
+        info["layout"]["position_m"] = [[0.04, 0.0, 0.0]]
+    return said if number in (0, 20) else {topic: said[topic] for topic in TOPICS[1:]}
 
 
 @pytest.fixture
-def daemon(sockets: Sockets, tmp_path: Path) -> Iterator[str]:
-    """Speaks as documented, ten scans a second by its own time, until the test ends."""
+def daemon(sockets: Sockets, tmp_path: Path) -> Iterator[Callable[..., str]]:
+    """Starts a daemon that speaks as documented once a subscriber has come, ten scans a second by
+    its own time, until the test ends; → its endpoint."""
     endpoint = f"ipc://{tmp_path}/stream"
     publisher: zmq.Socket[Any] = sockets.open(zmq.XPUB)
     publisher.bind(endpoint)
-    said, ended = maps(), threading.Event()
+    ended, speakers = threading.Event(), list[threading.Thread]()
 
-    def speak() -> None:
+    def speak(said_of: Callable[[int, Maps], Maps]) -> None:
+        for _ in TOPICS:
+            if publisher.poll(round(1e3 * WAIT_S)):
+                publisher.recv()
         for number in range(100_000):
-            for topic in messages.TOPICS:
-                body = said[topic] | ({"t": 1e9 + 0.1 * number} if "t" in said[topic] else {})
+            for topic, said in said_of(number, maps()).items():
+                body = said | ({"t": 1e9 + 0.1 * number} if "t" in said else {})
                 publisher.send_multipart([topic, msgpack.packb(body), b"0.0"])
             if ended.wait(0.01):
                 return
 
-    speaker = threading.Thread(target=speak)
-    speaker.start()
-    yield endpoint
+    def start(said_of: Callable[[int, Maps], Maps] = lambda _, said: said) -> str:
+        speakers.append(threading.Thread(target=speak, args=[said_of]))
+        speakers[0].start()
+        return endpoint
+
+    yield start
     ended.set()
-    speaker.join()
+    for one in speakers:
+        one.join()
 
 
-def test_a_running_daemon_is_shown_with_its_latencies(daemon: str, tmp_path: Path) -> None:
-    found = drawn(tmp_path / "live.rrd", "--endpoint", daemon, "--seconds", "3")
-    assert found.keys() >= set(ALWAYS.split())
-    assert found["/plot/latency"] > 20
+def test_a_running_daemon_is_shown(daemon: Callable[..., str], tmp_path: Path) -> None:
     config = tmp_path / "can0.toml"
-    config.write_text(CONFIG + f'[publish]\nendpoints = ["{daemon}"]\n', encoding="utf-8")
-    found = drawn(tmp_path / "known.rrd", str(config), "--seconds", "1")
-    assert found["/world/object/slices"] == 1
+    told = f'[source]\nkind = "can"\nchannel = "can0"\n[publish]\nendpoints = ["{daemon()}"]\n'
+    config.write_text(told, encoding="utf-8")
+    found = drawn(tmp_path / "live.rrd", str(config), "--seconds", "3")
+    assert found.keys() >= ALWAYS
+    assert found["/plot/belief/p"] > 20
 
 
-def test_slices_lie_on_the_object_at_each_height_of_taxels() -> None:
-    stage, _ = recorded(SESSION)
-    (thing,) = stage.things
-    scene, slices = thing.scene, slices_of(stage, thing)
-    assert scene is not None
-    assert {line[0, 2] for line in slices} == set(scene.heights)
-    for line in slices:
-        (k,) = np.flatnonzero(scene.heights == line[0, 2])
-        at = np.round((line[:, :2] - scene.origin) / scene.cell).astype(int)
-        assert np.abs(scene.slices[k][at[:, 1], at[:, 0]]).max() < 1.5 * scene.cell
+def test_a_daemon_that_is_restarted_with_more_objects_is_drawn_from_its_info_on(
+    daemon: Callable[..., str], tmp_path: Path
+) -> None:
+    found = drawn(tmp_path / "x.rrd", "--endpoint", daemon(restarted), "--seconds", "2.95")
+    assert found["/world/object"] == found["/world/link/skin"] == 20
 
 
-def test_taxels_have_the_colour_of_their_activation() -> None:
-    z, live = np.array([0.0, 0.2, 1.0, 0.5]), np.array([True, True, True, False])
-    quiet, low, high, dead = colours_of(z, live).astype(int)
-    assert (tuple(quiet), tuple(dead)) == (QUIET, DEAD)
-    assert high.sum() > low.sum(), "the stronger is the brighter"
+@pytest.mark.parametrize("change", [{"v": 1}, {"v": None}, {"placed": ...}], ids=str)
+def test_a_message_of_another_version_or_program_is_refused(
+    sockets: Sockets, tmp_path: Path, change: dict[str, Any]
+) -> None:
+    publisher = sockets.open(zmq.XPUB)
+    publisher.bind(f"ipc://{tmp_path}/stream")
+    changed = maps()[messages.TAXELS] | change
+    body = msgpack.packb({key: value for key, value in changed.items() if value is not ...})
+    topics = [messages.TAXELS]
+    with contextlib.closing(Subscriber(f"ipc://{tmp_path}/stream", None, topics)) as streams:
+        assert publisher.poll(round(1e3 * WAIT_S))
+        publisher.recv()
+        publisher.send_multipart([messages.TAXELS, body, b"0.0"])
+        with pytest.raises(SetupError, match=r"^/taxeld/taxels: is no message of the stream's v"):
+            list(streams.wait(WAIT_S))
+
+
+def test_the_keys_that_a_subscriber_needs_are_those_of_the_stream() -> None:
+    for topic, keys in NEEDED.items():
+        assert documented(topic.decode())[1].keys() >= set(keys.split())
 
 
 REFUSED = [
-    ([str(SESSION)], 2, "view: no screen here; use --save FILE, or --web"),
+    ([str(SESSION)], 2, "view: no screen here; use --save FILE"),
     (["--endpoint", "ipc://{place}/none", "--save", "{out}"], 1, "no daemon answers at ipc://"),
     (["--endpoint", "foo"], 2, "--endpoint: 'foo' is no endpoint"),
     (["{place}", "--save", "{out}"], 2, "{place}: is no session"),
@@ -164,25 +210,37 @@ def test_no_screen_no_daemon_and_wrong_arguments_are_one_line_each(
     assert not out.exists()
 
 
-@pytest.mark.check
-def test_the_viewer_in_a_browser_is_reached_from_this_machine_alone_and_ends() -> None:
-    def listening() -> set[str]:
-        """Hexadecimal addresses and ports, of the two ports of the page, that are listened at."""
-        rows = [
-            row.split()
-            for table in ("tcp", "tcp6")
-            for row in Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:]
-        ]
-        return {row[1] for row in rows if row[3] == "0A" and row[1].rpartition(":")[2] in ports}
+@pytest.fixture
+def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Makes a shell script the viewer; its directory is the test's."""
+    path = tmp_path / "viewer"
 
-    command = [sys.executable, "-m", "taxeld.cli", "view", str(SESSION), "--web"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
-        assert view.stdout is not None
-        page = view.stdout.readline()
-        ports = [f"{int(port):04X}" for port in re.findall(r"127.0.0.1:(\d+)", page)]
-        assert len(ports) == 2
-        assert listening() == {f"0100007F:{port}" for port in ports}
-        assert view.stdout.readline() == "the session is shown\n"
-        view.send_signal(signal.SIGTERM)
-    assert view.returncode == 0
-    assert not listening()
+    def make(script: str) -> None:
+        path.write_text(f"#!/bin/sh\ncd {tmp_path}\n{script}\n", encoding="ascii")
+        path.chmod(0o755)
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(view, "VIEWER", str(path))
+    return make
+
+
+def test_a_window_gets_all_and_no_other_machine_reaches_it(
+    viewer: Callable[[str], None], tmp_path: Path
+) -> None:
+    viewer("echo $@ >options; cat >seen.rrd")
+    assert main(["view", str(SESSION)]) == 0
+    assert entities(tmp_path / "seen.rrd").keys() >= ALWAYS
+    assert "--bind=127.0.0.1" in (tmp_path / "options").read_text(encoding="ascii").split()
+
+
+def test_a_window_that_is_closed_ends_the_view_of_a_daemon(
+    viewer: Callable[[str], None], daemon: Callable[..., str], tmp_path: Path
+) -> None:
+    viewer("head -c 20000 >seen")
+    assert main(["view", "--endpoint", daemon()]) == 0
+    assert (tmp_path / "seen").stat().st_size == 20_000
+
+
+def test_a_viewer_that_fails_is_one_line(viewer: Callable[[str], None]) -> None:
+    viewer("exit 1")
+    assert refused("view", SESSION).startswith("view: the viewer failed")

@@ -11,8 +11,8 @@ from taxeld.arrays import Floats
 from taxeld.model import contacts, se2
 from taxeld_hil import cli
 from taxeld_hil.rig.rig import IDLE_S, Rig
+from taxeld_hil.run.contact_table import ContactTable
 from taxeld_hil.run.fake_run import FakeRun
-from taxeld_hil.run.watch import ContactTable
 from taxeld_hil.world import robot
 from taxeld_hil.world.advised import AdvisedRobot
 from tests.rig.commands import refused

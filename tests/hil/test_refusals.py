@@ -14,7 +14,6 @@ NO_FOAM = "no foam 'marble'; there are scene, typical, poor, stiff; a layout is 
 NO_BUNDLE = "scene.bundle: no bundle 'party'"
 NO_MEMORY = "--memory: {place}/file/m: "
 NO_ENDPOINT = "; use ipc:///path or tcp://"
-WATCH = "watch --bundle box --endpoint"
 EMULATE = "emulate demo --link {place}/skin --out {place}/out --poses"
 
 WRONG = [  # a command line, and words of its line
@@ -40,14 +39,11 @@ WRONG = [  # a command line, and words of its line
     ("matrix demo --workers 0 --out {place}/out", "--workers must be at least 1"),
     ("matrix demo", "--out: is required"),
     ("calibration --seeds 1", "taxeld-hil calibration: is gone; taxeld calibrate SESSION --check"),
-    (f"{WATCH} foo", f"--endpoint: 'foo' is no endpoint{NO_ENDPOINT}"),
-    (f"{WATCH} tcp://", NO_ENDPOINT),
-    (f"{WATCH} tcp://a:b", NO_ENDPOINT),
-    (f"{WATCH} tcp://127.0.0.1:99999", NO_ENDPOINT),
-    (f"{WATCH} ''", NO_ENDPOINT),
-    (f"{WATCH} ipc:///x --layout nothing.json", "nothing.json"),
     (f"{EMULATE} foo", "--poses: 'foo' "),
     (f"{EMULATE} tcp://", NO_ENDPOINT),
+    (f"{EMULATE} tcp://a:b", NO_ENDPOINT),
+    (f"{EMULATE} tcp://127.0.0.1:99999", NO_ENDPOINT),
+    (f"{EMULATE} ''", NO_ENDPOINT),
     (f"accept slcan:/dev/nothing {ACCEPT}", "plugged in"),
     (f"accept serial:/dev/nothing {ACCEPT}", "plugged in"),
     (f"accept serial:/dev/nothing@fast {ACCEPT}", "'fast' is no baud rate"),

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from taxeld.pipeline.calibration_check import CalibrationCheck
 
 from taxeld.commands.replay import Replay
 from taxeld.estimator.estimate import Status
 from taxeld.model.observation import Observation
 from taxeld.model.symmetry import Mode
-from taxeld.pipeline.calibration_check import CalibrationCheck
 from taxeld.pipeline.freshness import Why
 from taxeld.proposals import several
 from taxeld_hil.grade.grade import Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
+from taxeld_hil.run.contact_table import ContactTable
 from taxeld_hil.run.fake_run import FakeRun
-from taxeld_hil.run.watch import ContactTable
 from taxeld_hil.scenario import scenario
 
 from .rig import MODEL, PLACED

@@ -2,16 +2,12 @@
 
 import contextlib
 import os
-import select
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-
-from .clocks import PATIENCE_S
 
 TAXELD = [sys.executable, "-m", "taxeld.cli"]
 PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -81,12 +77,3 @@ def read_all(ours: int) -> str:
             drawn += part
     os.close(ours)
     return drawn.decode()
-
-
-def read_until(ours: int, text: str) -> str:
-    """All that was drawn there up to a part that has `text`."""
-    drawn, end_s = "", time.monotonic() + PATIENCE_S
-    while text not in drawn:
-        assert select.select([ours], [], [], max(0.0, end_s - time.monotonic()))[0], drawn
-        drawn += os.read(ours, 65536).decode(errors="replace")
-    return drawn

@@ -1,7 +1,7 @@
 // Fast DDS, the DDS of ROS 2's default middleware, on the other side of the bridge.
 //
 //     fastdds_peer hear DOMAIN    a line for each pose
-//     fastdds_peer tell DOMAIN    transforms on /tf and /tf_static, 50 a second
+//     fastdds_peer tell DOMAIN    poses on /skin, 50 a second
 //
 // Messages are read and written by Fast DDS's own CDR; only the order of their fields is known here.
 #include <chrono>
@@ -117,31 +117,25 @@ static void hear(DomainParticipant* dds) {
     for (;;) std::this_thread::sleep_for(std::chrono::seconds(1));
 }
 
-// A tf2_msgs/msg/TFMessage of one transform
-static Bytes transform(const char* parent, const char* child, double x, double yaw) {
+// A geometry_msgs/msg/PoseStamped of now
+static Bytes pose(double x, double yaw) {
     auto ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
                   std::chrono::system_clock::now().time_since_epoch()).count();
     FastBuffer buffer;
     Cdr out(buffer, Cdr::LITTLE_ENDIANNESS, Cdr::DDS_CDR);
     out.serialize_encapsulation();
-    out << uint32_t(1) << int32_t(ns / 1000000000) << uint32_t(ns % 1000000000);
-    out << std::string(parent) << std::string(child) << x << 0.25 << 0.5;
-    out << 0.0 << 0.0 << std::sin(yaw / 2) << std::cos(yaw / 2);
+    out << int32_t(ns / 1000000000) << uint32_t(ns % 1000000000) << std::string("world");
+    out << x << 0.25 << 0.5 << 0.0 << 0.0 << std::sin(yaw / 2) << std::cos(yaw / 2);
     return Bytes(out.getBufferPointer(), out.getBufferPointer() + out.getSerializedDataLength());
 }
 
 static void tell(DomainParticipant* dds) {
-    auto* publisher = dds->create_publisher(PUBLISHER_QOS_DEFAULT);
-    DataWriterQos qos;
-    const char* type = "tf2_msgs::msg::dds_::TFMessage_";
-    auto* moving = publisher->create_datawriter(topic(dds, "rt/tf", type), qos);
-    qos.durability().kind = TRANSIENT_LOCAL_DURABILITY_QOS;
-    auto* fixed = publisher->create_datawriter(topic(dds, "rt/tf_static", type), qos);
-    auto mount = transform("link", "skin", 0.1, 0.0);
-    fixed->write(&mount);
+    auto* written = topic(dds, "rt/skin", "geometry_msgs::msg::dds_::PoseStamped_");
+    auto* writer = dds->create_publisher(PUBLISHER_QOS_DEFAULT)
+                       ->create_datawriter(written, DATAWRITER_QOS_DEFAULT);
     for (;; std::this_thread::sleep_for(std::chrono::milliseconds(20))) {
-        auto link = transform("world", "link", 1.0, M_PI / 2);
-        moving->write(&link);
+        auto now = pose(1.0, M_PI / 2);
+        writer->write(&now);
     }
 }
 

@@ -60,9 +60,8 @@ class Daemon(End):
         return message
 
     def say_all(self) -> dict[str, Any]:
-        """The other topics, and an estimate; → its map."""
-        for topic in (messages.INFO, messages.HEALTH, messages.PARTICLES):
-            self._send(topic, documented(topic.decode())[1])
+        """Health, and an estimate; → its map."""
+        self._send(messages.HEALTH, documented("/taxeld/health")[1])
         return self.say()
 
     def _send(self, topic: bytes, message: dict[str, Any]) -> None:

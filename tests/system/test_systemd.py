@@ -99,7 +99,7 @@ def test_the_unit_of_the_bridge_and_the_options_it_proposes_start_what_its_comma
         args = bridge._parser().parse_args(arguments)
         assert args.config == Path("/etc/taxeld/can0.toml")
         assert args.command is bridge._run
-        assert args.sensor_tf == (["world", "skin_link"] if more else None)
+        assert args.sensor_topic == ("/arm/skin" if more else "")
 
 
 def test_the_units_hold_what_the_code_has() -> None:

@@ -23,6 +23,13 @@ GONE: dict[str, str] = {
     "source.path": SESSION,
     "source.framing": 'an SLCAN adapter is kind = "can", interface = "slcan"',
     "--dialect": ICUB,
+    "taxeld watch": "'taxeld status' prints what a daemon believes, 'taxeld view' draws it",
+    "taxeld-hil watch": "'taxeld status' prints what a daemon believes, 'taxeld view' draws it",
+    "--sensor-tf": "examples/tf_to_pose.py publishes a frame of tf for --sensor-topic",
+    "--sensor-endpoint": "CONFIG says where: sensor_pose.endpoint",
+    "--z-m": "name a frame at that height with --frame",
+    "--web": "use --save FILE, and where the browser is: rerun --web-viewer FILE",
+    "taxeld export": "run taxeld-ros2 and record its topics with 'ros2 bag'",
 }
 
 

@@ -17,7 +17,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from taxeld import files
+from taxeld.arrays import Poses
 from taxeld.config import toml_tables
 from taxeld.config.file import load
 from taxeld.config.tables import Config
@@ -140,6 +143,17 @@ def read_poses(path: Path) -> list[PoseRow]:
         SetupError: the file is unreadable or damaged, with the line.
     """
     return _poses(_Lines(path))
+
+
+def truth(directory: Path) -> Poses | None:
+    """(3,) the object's last true pose; None where the session does not have it.
+
+    Raises:
+        SetupError: the table is damaged.
+    """
+    path = directory / TRUTH
+    rows = read_poses(path) if path.exists() else None
+    return np.array(rows[-1][1:]) if rows else None
 
 
 class _Lines:

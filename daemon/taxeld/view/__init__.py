@@ -1,5 +1,4 @@
-"""What people look at: the streams, live or from a session, as a terminal's page, a scene in three
-dimensions and a file for other tools.
+"""What people look at: a daemon's streams or a session in three dimensions, and its advice.
 
 Processes of their own that subscribe like anybody; nothing of the daemon imports this room.
 """

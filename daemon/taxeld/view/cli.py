@@ -1,10 +1,12 @@
-"""The commands `view`, `watch` and `export`."""
+"""The command `view`."""
 
 import argparse
 import math
+import sys
+from itertools import chain
 from pathlib import Path
 
-from taxeld.command_line import FAILED, Commands, add_endpoint, add_keys, documented, stopping
+from taxeld.command_line import FAILED, Commands, add_keys, documented, stopping
 from taxeld.config.endpoints import for_this_user
 from taxeld.config.file import load
 from taxeld.config.tables import PublishConfig
@@ -13,70 +15,47 @@ from taxeld.errors import SetupError
 
 def add(commands: Commands) -> None:
     view = documented(commands, _view)
-    about = "of a running daemon, which adds the object's slices, or recorded"
+    about = "of a running daemon, or recorded"
     view.add_argument("source", type=Path, nargs="?", metavar="CONFIG|SESSION", help=about)
     view.add_argument("--endpoint", help="where the daemon publishes")
     add_keys(view)
     about = "of scans to show, from the first on"
     view.add_argument("--seconds", type=float, default=math.inf, metavar="S", help=about)
-    where = view.add_mutually_exclusive_group()
-    where.add_argument("--save", type=Path, metavar="FILE", help="into an .rrd file, no viewer")
-    where.add_argument("--web", action="store_true", help="serve it to a browser of this machine")
-
-    add_endpoint(documented(commands, _watch), "where the daemon publishes")
-
-    export = documented(commands, _export)
-    export.add_argument("session", type=Path, metavar="SESSION")
-    export.add_argument("--mcap", type=Path, required=True, metavar="FILE", help="to be written")
-    export.add_argument("--config", type=Path, help="in place of the session's own config.toml")
+    view.add_argument("--save", type=Path, metavar="FILE", help="into an .rrd file, no window")
 
 
 def _view(args: argparse.Namespace) -> int:
     """Show a running daemon or a session in three dimensions, with plots.
 
     taxeld view
-    taxeld view can0.toml
-    taxeld view session --save session.rrd
+    taxeld view can0.toml --save live.rrd --seconds 60
+    taxeld view session
     """
+    from taxeld.commands.unanswered import unanswered
     from taxeld.view import view
-    from taxeld.view.stage import recorded, scenes_of
+    from taxeld.view.picture import Picture
 
-    source = args.source
+    source, ends = args.source, stopping()
     if not args.seconds > 0.0:
         raise SetupError("--seconds: must be more than 0")
-    target = view.Destination(args.save, args.web, args.seconds, stopping())
     if source is not None and (source.is_dir() or source.suffix != ".toml"):
         if args.endpoint or args.keys:
             raise SetupError("--endpoint, --keys: are for a running daemon, not for a session")
-        if not view.show(*recorded(source), target) and not target.stopping():
-            raise SetupError(f"{source}: holds no scan to show")
-        return 0
-    scenes = [] if source is None else scenes_of(load(source))
-    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, scenes, target) else FAILED
-
-
-def _watch(args: argparse.Namespace) -> int:
-    """Show what a running daemon feels and believes, in the terminal.
-
-    taxeld watch
-    taxeld watch can0.toml
-    taxeld watch --endpoint tcp://127.0.0.1:9872
-    """
-    from taxeld.view.watch import watch
-
-    watch(_endpoint(args.endpoint, args.config), args.keys, stopping())
-    return 0
-
-
-def _export(args: argparse.Namespace) -> int:
-    """Write a session as ROS 2 messages, for Foxglove and 'ros2 bag'.
-
-    taxeld export session --mcap session.mcap
-    """
-    from taxeld.view.export import export
-
-    written = export(args.session, args.mcap, args.config)
-    print("\n".join([f"written: {args.mcap}", *(f"{n:8d}  {t}" for t, n in written.items())]))
+        picture, heard = view.recorded(source)
+    else:
+        where = _endpoint(args.endpoint, source)
+        picture, heard = Picture(), view.live(where, args.keys, ends)
+        first = next(heard, None)
+        if first is None:
+            print("stopped" if ends() else unanswered(where), file=sys.stderr)
+            return FAILED
+        heard = chain([first], heard)
+    begun = view.begun(heard, args.seconds, ends)
+    if args.save is None:
+        view.show(picture, begun, ends)
+    else:
+        view.save(picture, begun, args.save)
+        print(f"written: {args.save}; see it with: rerun {args.save}")
     return 0
 
 

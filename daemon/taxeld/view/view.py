@@ -1,167 +1,110 @@
-"""`taxeld view`: the streams or a session in Rerun's viewer, in a browser, or into a file."""
+"""`taxeld view`: a daemon's streams or a session in Rerun's viewer, or in a file."""
 
 import contextlib
+import math
 import os
-import signal
-import socket
-import sys
+import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 import rerun as rr
-import rerun_bindings
 
-from taxeld.commands.unanswered import unanswered
+from taxeld.commands.replay import Replay
 from taxeld.errors import SetupError
-from taxeld.model.scene import Scene
+from taxeld.source import session
 from taxeld.stream import messages
-from taxeld.view.picture import Picture
-from taxeld.view.stage import Stage, from_info
+from taxeld.view.picture import DRAWN, Picture
 from taxeld.view.streams import Message, Subscriber
 
 ANSWER_S = 5.0  # a running daemon has said who it is by then
 LOOK_S = 0.2  # pause between two looks whether to end
-HOST = "127.0.0.1"
-PORT, WEB_PORT = 9876, 9090  # Rerun's own; free ones where these are taken
-MEMORY = "2GB"  # limit for the viewer, which then drops the oldest data
-VIEWER = Path(rr.__file__).parents[1] / "rerun_cli" / "rerun"
+PARTICLES_S = 0.05  # between two clouds of particles, as the daemon sends them
+VIEWER = str(Path(rr.__file__).parents[1] / "rerun_cli" / "rerun")
+# It reads its standard input, and no other machine can reach it
+OPTIONS = "-", "--bind=127.0.0.1", "--port=auto", "--memory-limit=2GB", "--hide-welcome-screen"
+
+Ends = Callable[[], bool]
 
 
-@dataclass(frozen=True)
-class Destination:
-    """Where a picture goes, and for how long: into the file `save`, to a browser or a window."""
-
-    save: Path | None
-    web: bool
-    seconds: float  # duration from the first scan, by the times of the scans
-    stopping: Callable[[], bool]
-
-
-def live(endpoint: str, keys: Path | None, scenes: Sequence[Scene], target: Destination) -> bool:
-    """Show a daemon's streams; → whether there was one. `scenes`: the objects, where more of them
-    is known than the outlines that the streams have.
-
-    Raises:
-        SetupError: nothing can be shown, the endpoint is none, or a stream of another version.
-    """
-    with contextlib.closing(Subscriber(endpoint, keys)) as streams:
-        info = _first_info(streams, target.stopping)
-        if info:
-            show(from_info(info, scenes), _heard(streams), target)
-        elif not target.stopping():
-            print(unanswered(endpoint), file=sys.stderr)  # noqa: T201
-            return False
-    return True
+def live(endpoint: str, keys: Path | None, ends: Ends) -> Iterator[Message]:
+    """What a daemon publishes; nothing where none answers. An empty message is a pause. Raises
+    SetupError as a `Subscriber` does."""
+    until_s = time.monotonic() + ANSWER_S
+    with contextlib.closing(Subscriber(endpoint, keys, [messages.INFO, *DRAWN])) as streams:
+        while not ends() and time.monotonic() < until_s:
+            for message in streams.wait(LOOK_S):
+                until_s = math.inf
+                yield message
+            if until_s == math.inf:
+                yield b"", {}
 
 
-def show(stage: Stage, heard: Iterable[Message], target: Destination) -> bool:
-    """Draw all messages; → whether there was a scan.
+def recorded(directory: Path) -> tuple[Picture, Iterator[Message]]:
+    """A picture for a session, and what a daemon would have published. Raises SetupError where the
+    session, or what its configuration names, cannot be used."""
+    replay = Replay(directory)
+    known = replay.pipeline.estimator.known if replay.names else []
+    scenes = {name: each.model.scene for name, each in zip(replay.names, known, strict=True)}
 
-    Raises:
-        SetupError: nothing can be shown, or the messages cannot be used.
-    """
-    stream, viewer = rr.RecordingStream("taxeld"), 0
-    if target.save is None:
-        viewer = _open_viewer(stream, web=target.web)
-    else:
-        _save(stream, target.save)
-    begun_s, leading = 0.0, messages.ESTIMATE if stage.things else messages.TAXELS
-    try:
-        picture = Picture(stage, stream)
-        for topic, message in heard:
-            if target.stopping() or _has_ended(viewer):
-                break
-            if topic == leading and message["t"]:
-                begun_s = begun_s or message["t"]
-                if message["t"] - begun_s > target.seconds:
-                    break
-            picture.take(topic, message)
-        stream.flush()
-        stream.disconnect()
-        if begun_s and target.save is not None:
-            _say(f"written: {target.save}; see it with: rerun {target.save}")
-        elif begun_s and not stage.is_live:
-            _say("the session is shown")
-        while target.web and not target.stopping() and not _has_ended(viewer):
-            time.sleep(LOOK_S)  # the browser asks the viewer's process
-    finally:
-        if target.web and not _has_ended(viewer):  # a window stays
-            os.kill(viewer, signal.SIGTERM)
-            os.waitpid(viewer, 0)
-    return bool(begun_s)
+    def heard() -> Iterator[Message]:
+        yield messages.INFO, messages.info(replay.layout, scenes, "")
+        next_s = 0.0  # the next cloud of particles is due at this time
+        for seq, outcome in enumerate(replay):
+            e, felt = outcome.estimate, outcome.activation
+            if felt is not None and not outcome.link:
+                yield messages.TAXELS, messages.taxels(felt, outcome.sensor, seq)
+            if scenes:
+                why = replay.why(e)
+                yield messages.ESTIMATE, messages.estimate(e, names=replay.names, seq=seq, why=why)
+            if scenes and e.contact and not e.t < next_s < e.t + 1.0:
+                next_s = e.t + PARTICLES_S
+                yield messages.PARTICLES, messages.particles(e.t, seq, *replay.belief)
+
+    return Picture(list(scenes.values()), session.truth(directory)), heard()
 
 
-def _first_info(streams: Subscriber, stopping: Callable[[], bool]) -> dict[str, Any]:
-    """The daemon's first `/taxeld/info`; empty where none comes."""
-    end_s = time.monotonic() + ANSWER_S
-    while time.monotonic() < end_s and not stopping():
-        for topic, message in streams.wait(LOOK_S):
-            if topic == messages.INFO:
-                return message
-    return {}
+def begun(heard: Iterable[Message], seconds: float, ends: Ends) -> Iterator[Message]:
+    """The messages of the first `seconds` of scans, until `ends`."""
+    begun_s = 0.0
+    for topic, message in heard:
+        t = message["t"] if topic in DRAWN else 0.0
+        begun_s = begun_s or t
+        if ends() or t - begun_s > seconds:
+            return
+        yield topic, message
 
 
-def _heard(streams: Subscriber) -> Iterator[Message]:
-    while True:
-        yield from streams.wait(LOOK_S)
-        yield b"", {}  # no message: the reader looks whether to end
-
-
-def _open_viewer(stream: rr.RecordingStream, *, web: bool) -> int:
-    """Start a viewer that only this machine can reach, and send it the stream; → its process.
-
-    `rr.spawn` has no argument for the address, so the function beneath it is called.
-    """
-    if not web and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise SetupError("view: no screen here; use --save FILE, or --web for a browser")
-    port, web_port = _free(PORT), _free(WEB_PORT)
-    serving = ["--serve-web", f"--web-viewer-port={web_port}"] if web else []
-    started = rerun_bindings.spawn(
-        port=port,
-        memory_limit=MEMORY,
-        hide_welcome_screen=True,
-        executable_path=str(VIEWER),
-        extra_args=[f"--bind={HOST}", *serving],
-        extra_env=[("RERUN_APP_ONLY", "true"), ("RUST_LOG", "error")],
-    )
-    viewer = started or 0
-    if _has_ended(viewer):
-        raise SetupError("view: the viewer ended at once; use --save FILE, or --web for a browser")
-    address = f"rerun+http://{HOST}:{port}/proxy"
-    stream.connect_grpc(address)
-    page = f"open in a browser: http://{HOST}:{web_port}?url={address}"
-    _say(page if web else "the viewer is open")
-    return viewer
-
-
-def _free(port: int) -> int:
-    """The port, or another where it is taken."""
-    with socket.socket() as probe:
-        try:
-            probe.bind((HOST, port))
-        except OSError:
-            probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
-
-
-def _has_ended(viewer: int) -> bool:
-    """Whether the process of a viewer has ended; False of 0, which is none."""
-    try:
-        return viewer > 0 and os.waitpid(viewer, os.WNOHANG)[0] == viewer
-    except ChildProcessError:  # it was asked before
-        return True
-
-
-def _save(stream: rr.RecordingStream, path: Path) -> None:
+def save(picture: Picture, heard: Iterable[Message], path: Path) -> None:
+    """Draw into an .rrd file. Raises SetupError where it cannot be written."""
     try:
         path.open("ab").close()  # else another thread meets the fault
     except OSError as error:
         raise SetupError(f"--save: cannot write {path} ({error.strerror})") from None
-    stream.save(path)
+    picture.stream.save(path)
+    for topic, message in heard:
+        picture.take(topic, message)
+    picture.stream.disconnect()
 
 
-def _say(line: str) -> None:
-    print(line, flush=True)  # noqa: T201
+def show(picture: Picture, heard: Iterable[Message], ends: Ends) -> None:
+    """Draw in a window until it is closed. Raises SetupError where there is none."""
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise SetupError("view: no screen here; use --save FILE, and see it with: rerun FILE")
+    drawn = picture.stream.binary_stream()
+    os.environ.setdefault("RUST_LOG", "error")  # else the viewer writes its news to this terminal
+    with subprocess.Popen([VIEWER, *OPTIONS], stdin=subprocess.PIPE, bufsize=0) as viewer:  # noqa: S603
+        assert viewer.stdin is not None  # noqa: S101
+        with contextlib.suppress(BrokenPipeError):  # the window has been closed
+            for topic, message in heard:
+                picture.take(topic, message)
+                viewer.stdin.write(drawn.read(flush=False) or b"")
+                if viewer.poll() is not None:
+                    break
+            viewer.stdin.write(drawn.read() or b"")
+            viewer.stdin.close()
+            while viewer.poll() is None and not ends():
+                time.sleep(LOOK_S)
+            viewer.terminate()
+    if viewer.returncode > 0:
+        raise SetupError("view: the viewer failed, as it says above; use --save FILE")

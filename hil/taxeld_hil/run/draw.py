@@ -19,7 +19,6 @@ from taxeld.estimator.estimate import Estimate, Status
 from taxeld.layout.draw import MM, plane
 from taxeld.model import se2
 from taxeld.source import session
-from taxeld.view.stage import truth_of
 
 DPI, NUMBERS, WORDS = 110, 7, 8  # dots per inch; sizes of letters
 SPAN = 2.6  # sizes of the object that are shown to each side of it
@@ -95,7 +94,7 @@ class SessionPicture:
         self._directory = directory
         self._pipeline = open_pipeline(directory, session.config_of(directory))
         self._scenes = [known.model.scene for known in self._pipeline.estimator.known]
-        truth = truth_of(directory / session.TRUTH)
+        truth = session.truth(directory)
         self._truth = truth if len(self._scenes) == 1 else None  # which one it is of, is not known
         self._skin = self._pipeline.skin.layout
 

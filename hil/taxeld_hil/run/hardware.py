@@ -18,9 +18,9 @@ from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge
 from taxeld_hil.rig.bench import write_config
 from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S
+from taxeld_hil.run.contact_table import HEADER, OBJECT, ContactTable
 from taxeld_hil.run.listener import Listener, Say
 from taxeld_hil.run.processes import Processes
-from taxeld_hil.run.watch import HEADER, OBJECT, ContactTable
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import KINDS, Scenario
 from taxeld_hil.world.world import load_model

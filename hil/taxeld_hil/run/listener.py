@@ -14,7 +14,7 @@ from taxeld.pipeline.freshness import Why
 from taxeld.stream import messages
 from taxeld_hil.grade.flags import Health
 from taxeld_hil.grade.judge import Judge, Sample
-from taxeld_hil.run.watch import ContactTable
+from taxeld_hil.run.contact_table import ContactTable
 
 SETTLED_S = 0.25  # a health message so long after the last frame has counted it
 Say = Callable[[str], None]

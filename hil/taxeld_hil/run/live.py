@@ -16,9 +16,9 @@ from taxeld_hil.grade.reconcile import Law, laws
 from taxeld_hil.rig.bench import Bench, recorded, write_config
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.advice import REST_S, AdviceThread
+from taxeld_hil.run.contact_table import HEADER, OBJECT, ContactTable
 from taxeld_hil.run.listener import Listener, Say, socket
 from taxeld_hil.run.processes import Processes
-from taxeld_hil.run.watch import HEADER, OBJECT, ContactTable
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
 

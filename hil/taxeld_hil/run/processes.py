@@ -17,16 +17,24 @@ from taxeld.stream import client
 from taxeld_hil.scenario.scenario import Scenario
 
 GRACE_S = 5.0
+SUBSCRIBER = """
+import sys, zmq
+socket = zmq.Context().socket(zmq.SUB)
+socket.connect(sys.argv[1])
+socket.subscribe(b"/taxeld/estimate")
+while True:
+    print(len(socket.recv_multipart()), flush=True)
+"""
 
 
 class Process:
-    """A command of this project's; `what` names it in messages."""
+    """A process of this Python's; `what` names it in messages."""
 
-    def __init__(self, what: str, module: str, *args: str, out: IO[bytes] | None = None) -> None:
+    def __init__(self, what: str, *args: str, out: IO[bytes] | None = None) -> None:
         """`out`: a file that gets what it prints."""
         self.what = what
         self.running: subprocess.Popen[bytes] | None = None
-        self._command = [sys.executable, "-m", module, *args]
+        self._command = [sys.executable, *args]
         self._out = out
 
     @property
@@ -78,14 +86,10 @@ class Processes:
         known = SceneConfig(bundles=scenario.known)
         several.load(known, [layouts.load(scenario.skin_layout)])
         run = ("run", "--log-level", log_level, str(config))
-        watch = ("watch", "--endpoint", endpoint, "--bundle", scenario.bundle)
-        skin = ("--layout", scenario.skin_layout)
         self._printed = tempfile.TemporaryFile()  # noqa: SIM115  (for as long as this lives)
         self._bytes = 0  # bytes printed by the subscriber
-        self.daemon = Process("the daemon", "taxeld.cli", *run)
-        self._subscriber = Process(
-            "the subscriber", "taxeld_hil.cli", *watch, *skin, out=self._printed
-        )
+        self.daemon = Process("the daemon", "-m", "taxeld.cli", *run)
+        self._subscriber = Process("the subscriber", "-c", SUBSCRIBER, endpoint, out=self._printed)
 
     def act(self, fails: Callable[[str], bool]) -> list[str]:
         """Kill and start what `fails` says of each kind of fault; → what has happened.
@@ -123,8 +127,8 @@ class Processes:
         self._subscriber.start()
 
     def stop(self) -> None:
-        """Raises SetupError where one does not stop as asked."""
-        self._subscriber.stop()
+        """Raises SetupError where the daemon does not stop as asked."""
+        self._subscriber.kill()
         self.daemon.stop()
 
     def kill(self) -> None:

@@ -1,32 +1,20 @@
-"""A subscriber: one line a contact, and at the end the error and the latencies."""
+"""What a run prints: one line a contact, and at the end the error and the latencies."""
 
-import math
-import sys
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-import msgpack
 import numpy as np
-import zmq
 
-from taxeld import command_line
 from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Status
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
-from taxeld.source import session
-from taxeld.stream import messages, sockets
-from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.world import load_model
+from taxeld.stream import messages
 
 HEADER = (
     "contact  taxels  modes       p  radius [mm]  likeliest x, y, yaw [mm, mm, deg]  error [mm]"
 )
 OBJECT = "  object"  # ends the header where the daemon knows several
-SILENT_S = 5.0  # without a message for so long, a line says so: daemons start in seconds
 
 
 @dataclass(slots=True)
@@ -90,47 +78,6 @@ class ContactTable:
             p50, p99, top = np.percentile(self.lat_us.get(stage, [0.0]), (50, 99, 100)) / 1e3
             lines.append(f"{stage:12s} {p50:8.2f} {p99:7.2f} {top:7.2f}")
         return lines
-
-
-def watch(
-    endpoint: str, bundle: str, layout: str, truth: Path | None, say: Callable[[str], None]
-) -> None:
-    """Say a line for each contact of a daemon that knows `bundle`, until a signal asks for the end.
-    `truth`: CSV of the object's poses.
-
-    Raises:
-        SetupError: the endpoint, the bundle, the layout or the truth cannot be used.
-    """
-    scene = load_model(Scenario(bundle, layout=layout)).scene
-    at = np.array(session.read_poses(truth)[-1][1:]) if truth else None
-    table, stopping = ContactTable(scene, at), command_line.stopping()
-    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-        sockets.connect(socket, endpoint, "--endpoint")
-        for topic in (messages.ESTIMATE, messages.TAXELS):
-            socket.setsockopt(zmq.SUBSCRIBE, topic)
-        begun, silent_s = False, time.monotonic() + SILENT_S
-        while not stopping():
-            if socket.poll(50):
-                if not begun:
-                    say(HEADER)
-                begun = True
-                if line := _receive(socket, table):
-                    say(line)
-            elif not begun and time.monotonic() > silent_s:
-                silent_s = math.inf
-                sys.stderr.write(f"nothing comes from {endpoint} so far; is a daemon there?\n")
-    if begun:
-        say("\n".join([*table.latencies(), *([] if at is None else [table.final()])]))
-
-
-def _receive(socket: zmq.Socket[Any], table: ContactTable) -> str | None:
-    """Take one message; → a line to print, if it ended a contact."""
-    topic, body, *_ = socket.recv_multipart()  # over TCP maybe without the time
-    if topic == messages.TAXELS:
-        table.on_taxels(msgpack.unpackb(body))
-    elif topic == messages.ESTIMATE:
-        return table.on_estimate(msgpack.unpackb(body))
-    return None
 
 
 def _pose(pose: dict[str, float]) -> str:
