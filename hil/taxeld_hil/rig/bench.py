@@ -14,7 +14,7 @@ from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
 from taxeld_hil.rig.ledger import WireUnit
-from taxeld_hil.rig.ports import ArrayPort, CanPort, NativePort, Port, SlcanPort
+from taxeld_hil.rig.ports import ArrayPort, CanPort, NativePort, Port, SlcanPort, is_heard
 from taxeld_hil.rig.rig import BEFORE_S, Rig
 from taxeld_hil.scenario.scenario import Scenario
 
@@ -30,7 +30,7 @@ class Bench:
         self.start_s: float | None = None  # monotonic, of the first scan
         self._recorder = recorder
         self._poses = poses
-        self._listeners = False
+        self._prefixes = set[bytes]()  # what the listeners to the poses subscribe to
         self._finished = False
         self.port = self._opened(where)
 
@@ -111,11 +111,10 @@ class Bench:
                 ledger.refused += 1
 
     def _publish(self, row: tuple[float, float, float, float]) -> None:
-        while self._poses.poll(0):
-            self._listeners = self._poses.recv()[:1] == b"\x01"
         wall, x, y, theta = row
         body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
-        if self._listeners:  # a listener that comes now would hear an uncounted pose
+        # a pose that nobody hears is not sent: who begins to listen now would hear it uncounted
+        if is_heard(self._poses, self._prefixes, messages.SENSOR_POSE):
             frames = (messages.SENSOR_POSE, body, b"%.6f" % wall)
             self._poses.send_multipart(frames, zmq.NOBLOCK)
             self.rig.ledger.poses_heard += 1
