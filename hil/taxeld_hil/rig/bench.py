@@ -1,5 +1,6 @@
 """A rig in real time: its hub on a port, its robot on a socket, and a recording of both."""
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +28,7 @@ class Bench:
     ) -> None:
         """`where`: the name that a pseudo-terminal gets, or a CAN interface; `poses`: an XPUB."""
         self.rig = rig
+        rig.ledger.period_s = math.inf  # when the host reads is not known here
         self.start_s: float | None = None  # monotonic, of the first scan
         self._recorder = recorder
         self._poses = poses
