@@ -13,11 +13,9 @@ from taxeld.advice.advice import Advice
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld.stream import messages
-from taxeld_hil.grade.flags import Health
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.run.watch import ContactTable
 
-SETTLED_S = 0.25  # a health message so long after the last frame has counted it
 Say = Callable[[str], None]
 
 
@@ -38,7 +36,6 @@ class Listener:
         self.table = table
         self.begun = False  # whether an estimate of a scan has come
         self.on_advice: Callable[[Advice, float], object] = lambda *_: None
-        self.final: Health | None = None  # the first health after all was sent
         self._finished_wall = np.inf
         self._say = say
         self._stream = socket(stack, context, zmq.SUB)
@@ -58,7 +55,7 @@ class Listener:
             if topic == messages.TAXELS:
                 self.table.on_taxels(message)
             elif topic == messages.HEALTH:
-                self._on_health(message, t)
+                self.judge.on_health(t, message)
             elif topic == messages.ADVICE:
                 self.on_advice(messages.advice_of(message), message["t"])
             elif time.time() < self._finished_wall:
@@ -76,11 +73,6 @@ class Listener:
     def finish(self) -> None:
         """All has been sent: what is estimated from now on does not count."""
         self._finished_wall = time.time()
-
-    def _on_health(self, message: Health, t: float) -> None:
-        self.judge.on_health(t, message)
-        if self.final is None and message["t"] > self._finished_wall + SETTLED_S:
-            self.final = message
 
 
 def sample(message: dict[str, Any], t: float) -> Sample:
