@@ -22,7 +22,7 @@ def lines(grade: Grade) -> Iterator[str]:
             yield _line(check)
     if laws and all(check.passed for check in laws):
         sent = figures["ledger"]["fates"]["units"]
-        detail = f"{len(laws)} equalities hold over {sent} frames"
+        detail = f"{len(laws)} laws hold over {sent} frames"
         yield _line(Check("accounts", True, detail))
     for name, what in (("age_ms", "scan to estimate"), ("tick_ms", "tick with a scan")):
         if figures[name]["max"]:

@@ -1,5 +1,6 @@
 """A rig in real time: its hub on a port, its robot on a socket, and a recording of both."""
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
 from taxeld_hil.rig.ledger import WireUnit
-from taxeld_hil.rig.ports import ArrayPort, CanPort, NativePort, Port, SlcanPort
+from taxeld_hil.rig.ports import ArrayPort, CanPort, NativePort, Port, SlcanPort, is_heard
 from taxeld_hil.rig.rig import BEFORE_S, Rig
 from taxeld_hil.scenario.scenario import Scenario
 
@@ -27,10 +28,11 @@ class Bench:
     ) -> None:
         """`where`: the name that a pseudo-terminal gets, or a CAN interface; `poses`: an XPUB."""
         self.rig = rig
+        rig.ledger.period_s = math.inf  # when the host reads is not known here
         self.start_s: float | None = None  # monotonic, of the first scan
         self._recorder = recorder
         self._poses = poses
-        self._listeners = False
+        self._prefixes = set[bytes]()  # what the listeners to the poses subscribe to
         self._finished = False
         self.port = self._opened(where)
 
@@ -111,11 +113,10 @@ class Bench:
                 ledger.refused += 1
 
     def _publish(self, row: tuple[float, float, float, float]) -> None:
-        while self._poses.poll(0):
-            self._listeners = self._poses.recv()[:1] == b"\x01"
         wall, x, y, theta = row
         body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
-        if self._listeners:  # a listener that comes now would hear an uncounted pose
+        # a pose that nobody hears is not sent: who begins to listen now would hear it uncounted
+        if is_heard(self._poses, self._prefixes, messages.SENSOR_POSE):
             frames = (messages.SENSOR_POSE, body, b"%.6f" % wall)
             self._poses.send_multipart(frames, zmq.NOBLOCK)
             self.rig.ledger.poses_heard += 1

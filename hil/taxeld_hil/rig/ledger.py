@@ -4,6 +4,7 @@ It knows which packet each frame was cut from, and so the fate of every packet: 
 never there. The daemon's counters must agree with it (`reconcile`), to the last frame.
 """
 
+import math
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from itertools import accumulate
@@ -60,7 +61,7 @@ class Ledger:
     """Counts of all that was sent in one run; `fates` begin anew with each host."""
 
     modules: tuple[int, ...]  # channels of each
-    period_s: float
+    period_s: float  # infinite where it is not known when the host reads
     fates: Fates = field(default_factory=Fates)
     done: Counter[str] = field(default_factory=Counter)  # acts of the injector, by kind of fault
     scans_sent: int = 0
@@ -81,6 +82,11 @@ class Ledger:
     def __post_init__(self) -> None:
         self._first = [0, *accumulate(self.modules)]
         self._channels = self._first[-1]
+
+    @property
+    def knows_pauses(self) -> bool:
+        """Whether it divides scans where the host does: at pauses between the packets it reads."""
+        return math.isfinite(self.period_s)
 
     def begin(self) -> None:
         """Another host listens from now on."""

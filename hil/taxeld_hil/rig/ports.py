@@ -13,7 +13,7 @@ import termios
 import tty
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import can
 import zmq
@@ -234,6 +234,15 @@ class _Fixed:
         """There is none."""
 
 
+def is_heard(xpub: zmq.Socket[Any], prefixes: set[bytes], topic: bytes = b"") -> bool:
+    """Whether somebody listens to a topic. ZeroMQ tells when a prefix gets its first subscriber and
+    when it loses its last; `prefixes` keeps the subscribed ones from call to call."""
+    while xpub.poll(0):
+        said = xpub.recv()
+        (prefixes.add if said[:1] == b"\x01" else prefixes.discard)(said[1:])
+    return any(topic.startswith(prefix) for prefix in prefixes)
+
+
 class ArrayPort(_Fixed):
     """A skin that publishes arrays; a host's subscription starts it."""
 
@@ -243,6 +252,7 @@ class ArrayPort(_Fixed):
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.XPUB)
         self._socket.setsockopt(zmq.LINGER, 0)
+        self._prefixes = set[bytes]()
         try:
             self._socket.bind(f"ipc://{where.absolute()}")
         except zmq.ZMQError as error:
@@ -253,12 +263,9 @@ class ArrayPort(_Fixed):
         return int(self._socket.getsockopt(zmq.FD))
 
     def take(self, t: float) -> list[Packet]:
-        packets = []
-        while self._socket.poll(0):
-            asked = self._socket.recv()[:1]  # 1 begins a subscription, and 0 ends it
-            self.is_open = asked == b"\x01"
-            packets.append(Packet(t, BROADCAST, Command.SET_AUTO_SYNC, asked))
-        return packets
+        was_open, self.is_open = self.is_open, is_heard(self._socket, self._prefixes)
+        asked = Packet(t, BROADCAST, Command.SET_AUTO_SYNC, bytes([self.is_open]))
+        return [asked] if self.is_open != was_open else []
 
     def send(self, unit: WireUnit) -> bool:
         if not isinstance(unit.item, ArrayFrame):

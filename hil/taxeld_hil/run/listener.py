@@ -12,11 +12,9 @@ import zmq
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld.stream import messages
-from taxeld_hil.grade.flags import Health
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.run.contact_table import ContactTable
 
-SETTLED_S = 0.25  # a health message so long after the last frame has counted it
 Say = Callable[[str], None]
 
 
@@ -36,7 +34,6 @@ class Listener:
         self.judge = judge
         self.table = table
         self.begun = False  # whether an estimate of a scan has come
-        self.final: Health | None = None  # the first health after all was sent
         self._finished_wall = np.inf
         self._say = say
         self._stream = socket(stack, context, zmq.SUB)
@@ -56,7 +53,7 @@ class Listener:
             if topic == messages.TAXELS:
                 self.table.on_taxels(message)
             elif topic == messages.HEALTH:
-                self._on_health(message, t)
+                self.judge.on_health(t, message)
             elif time.time() < self._finished_wall:
                 self.begun |= message["t"] > 0.0
                 line = self.table.on_estimate(message)
@@ -72,11 +69,6 @@ class Listener:
     def finish(self) -> None:
         """All has been sent: what is estimated from now on does not count."""
         self._finished_wall = time.time()
-
-    def _on_health(self, message: Health, t: float) -> None:
-        self.judge.on_health(t, message)
-        if self.final is None and message["t"] > self._finished_wall + SETTLED_S:
-            self.final = message
 
 
 def sample(message: dict[str, Any], t: float) -> Sample:
