@@ -198,9 +198,9 @@ def listed(pairs: Iterable[tuple[int, int]]) -> list[Module]:
     return [Module(mask.bit_count(), sui, mask) for sui, mask in pairs]
 
 
-def wired(uids: list[int]) -> list[Module]:
+def wired(uids: list[int], kind: type[Module] = Module) -> list[Module]:
     """The modules that taxels with these UIDs hang on, each with its T0, in order of SUI."""
     masks: dict[int, int] = {}
     for uid in uids:
         masks[uid >> 4] = masks.get(uid >> 4, 1) | 1 << (uid & 0xF)
-    return listed(sorted(masks.items()))
+    return [kind(mask.bit_count(), sui, mask) for sui, mask in sorted(masks.items())]

@@ -79,16 +79,13 @@ def subjects(asked: Asked, place: Path) -> dict[str, Scenario]:
     depth_m = found.depth_m if asked.depth_m is None else asked.depth_m
     if not DEPTHS_M[0] <= depth_m <= DEPTHS_M[1]:
         raise SetupError(f"--depth-mm: must be 0.1..50, not {1e3 * depth_m:g}")
-    own_spec = found.layout
-    if not (layout.uid & 0xF).all():  # on a bus the name 0 is a temperature's
-        own_spec = _written(layout, 1, place)
-    made = {"as it is": _of(demo, found, own_spec, height_m, depth_m, place)}
+    made = {"as it is": _of(demo, found, found.layout, height_m, depth_m, place)}
     if 2 * len(np.unique(layout.uid >> 4)) <= MAX_MODULES:
-        spec = _written(layout, 2, place)
+        spec = _doubled(layout, place)
         rise_m = -layouts.load(spec).position_m[:, 2].min() + layout.position_m[:, 2].min()
         made["larger patch"] = _of(demo, found, spec, height_m + rise_m, depth_m, place)
     if DEEPER * depth_m <= DEPTHS_M[1]:
-        made["deeper foam"] = _of(demo, found, own_spec, height_m, DEEPER * depth_m, place)
+        made["deeper foam"] = _of(demo, found, found.layout, height_m, DEEPER * depth_m, place)
     for subject in made.values():
         model = load_model(subject)  # also whether the skin misses the object
         if subject.physics != "scene":  # built here once, before several workers need it
@@ -147,8 +144,9 @@ def _of(
 ) -> Scenario:
     """The scenario with an object on a layout: of a bundle that has this height and depth, or of
     one that is written for it unless it is there."""
+    base = base.on("", spec)
     if found.bundle and (height_m, depth_m) == (found.height_m, found.depth_m):
-        return replace(base, bundle=found.bundle, layout=spec)
+        return replace(base, bundle=found.bundle)
     from taxeld_hil.objects import bundles  # noqa: PLC0415  (needs trimesh, an extra)
 
     mesh, layout = found.mesh, layouts.load(spec)
@@ -158,27 +156,24 @@ def _of(
     out = place / f"{file.stem}-{hashlib.sha256(key).hexdigest()[:12]}"
     if not out.is_dir():
         bundles.bare(mesh, layout, height_m, depth_m, out)
-    return replace(base, bundle=str(out), layout=spec)
+    return replace(base, bundle=str(out))
 
 
-def _written(layout: Layout, copies: int, place: Path) -> str:
-    """The path of a table of a layout, or of a patch of several such, one above the other."""
-    position, sui = layout.position_m, layout.uid >> 4
+def _doubled(layout: Layout, place: Path) -> str:
+    """The path of a table of a patch of two such layouts, one above the other."""
+    position, (modules, module) = layout.position_m, np.unique(layout.uid >> 4, return_inverse=True)
     gap = np.linalg.norm(position[:, None] - position, axis=2) + 1e3 * np.eye(len(layout))
     step_m = float(np.ptp(position[:, 2]) + np.median(gap.min(axis=1)))
-    name = layout.uid & 0xF
-    if not name.all():  # by rank within the triangle
-        name = np.array([np.count_nonzero(sui[:i] == own) + 1 for i, own in enumerate(sui)])
     lines = [",".join([*COLUMNS, "uid"])]
-    for k in range(copies):
-        uid = (sui + 1 - sui.min() + k * (np.ptp(sui) + 1)) << 4 | name
+    for k in range(2):
+        uid = (module + 1 + k * len(modules)) << 4 | layout.uid & 0xF
         rows = np.hstack([position + np.array([0.0, 0.0, k * step_m]), layout.normal])
         for row, own in zip(rows, uid, strict=True):
             lines.append(",".join([*(f"{v:.7f}" for v in row), str(own)]))
     text = "\n".join([*lines, ""])
     place.mkdir(parents=True, exist_ok=True)
     stem = Path(layout.name.split(":")[0]).stem
-    path = place / f"{stem}-{copies}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.csv"
+    path = place / f"{stem}-2-{hashlib.sha256(text.encode()).hexdigest()[:12]}.csv"
     path.write_text(text, encoding="ascii")
     return str(path)
 

@@ -32,7 +32,7 @@ class Bench:
         self.start_s: float | None = None  # monotonic, of the first scan
         self._recorder = recorder
         self._poses = poses
-        self._prefixes = set[bytes]()  # what the listeners to the poses subscribe to
+        self._prefixes = set[bytes]()
         self._finished = False
         self.port = self._opened(where)
 

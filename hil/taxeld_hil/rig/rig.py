@@ -19,9 +19,9 @@ from taxeld_hil.world import robot
 from taxeld_hil.world.advised import AdvisedRobot
 from taxeld_hil.world.world import load_model, make_world, placed
 from taxeld_protocol import cyskin, serial_link
-from taxeld_protocol.array import ArrayFrame
+from taxeld_protocol.array import ArrayFrame, Group
 from taxeld_protocol.cyskin import Command, Packet
-from taxeld_protocol.modules import is_of_bootloader, wired
+from taxeld_protocol.modules import NAMES, Module, is_of_bootloader, wired
 from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 
 POSE_PERIOD_S = 0.01
@@ -45,24 +45,30 @@ class Rig:
         """`link`: the number of the link that it is of; all have the same object in one place.
 
         Raises:
-            SetupError: skin or object cannot be loaded, or a fault does not fit them.
+            SetupError: skin or object cannot be loaded, or a fault or the transport does not fit
+                them.
         """
         self._own_seeds = LINK_SEEDS * link
         self.model = load_model(scenario)
         self._taxel_uids: list[int] = self.model.layout.uid.tolist()
-        self.modules = wired(self._taxel_uids)
+        self.line = scenario.transport == "native"
+        self.is_array = scenario.transport == "array"
+        self.modules = wired(self._taxel_uids, Group if self.is_array else Module)
+        uids = [uid for module in self.modules for uid in module.uids]
+        self._channel = {uid: c for c, uid in enumerate(uids)}
+        if not self._channel.keys() >= set(self._taxel_uids):
+            raise SetupError(
+                f"transport: {scenario.transport} is of modules with taxels 1..{NAMES - 1}, and "
+                f"{self.model.layout.name} has other UIDs: it is of an array; leave --transport out"
+            )
         self.world = make_world(scenario, self.model, self.modules, seed + self._own_seeds)
         if link:
             self.world.truth = placed(scenario, np.random.default_rng(seed))
-        self.line = scenario.transport == "native"
-        self.is_array = scenario.transport == "array"
         phase = PHASES.get(scenario.transport, Phase.BOOTLOADER)
         self.hub = VirtualIhb(self.modules, HUB_UID + link, phase=phase)
         channels = tuple(module.channels for module in self.modules)
         self.ledger = Ledger(channels, self.hub.period_ms / 1000.0)
         self._first = [0, *accumulate(channels)]
-        uids = [uid for module in self.modules for uid in module.uids]
-        self._channel = {uid: c for c, uid in enumerate(uids)}
         self._was_on = True
         self._next_pose_s = -1e9
         self._now = 0.0  # time stamp of the next frames [s]

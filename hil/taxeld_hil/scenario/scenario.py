@@ -12,8 +12,10 @@ from taxeld.config.file import text_of
 from taxeld.config.links import LINKS_MAX
 from taxeld.config.toml_tables import Given, between, key, one_of
 from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
 from taxeld.proposals import bundle as bundles
 from taxeld_hil.scenario.mesh_config import FOAMS, PLAIN, SKINS, MeshConfig
+from taxeld_protocol.modules import MAX_MODULES, NAMES
 
 TRANSPORTS = ("slcan", "native", "can", "array")
 
@@ -158,10 +160,10 @@ class Scenario:
 
     def on(self, foam: str, *layouts: str) -> "Scenario":
         """The same scenario on another foam and layout, or with a link for each of several; on its
-        own where none is named.
+        own where none is named. A layout whose UIDs no module can have comes as an array.
 
         Raises:
-            SetupError: there is no foam of that name.
+            SetupError: there is no foam of that name, or the layout cannot be read.
         """
         if foam and foam not in FOAMS:
             raise SetupError(
@@ -171,7 +173,9 @@ class Scenario:
         skin = replace(self, physics=foam or self.physics)
         if len(named) > 1:
             return replace(skin, layouts=named)
-        return replace(skin, layout=named[0], layouts=()) if named else skin
+        if named:
+            skin = replace(skin, layout=named[0], layouts=())
+        return skin if not skin.layout or _has_modules(skin.layout) else skin.over("array")
 
     def touching(self, bundle: str) -> "Scenario":
         """The same scenario with another object, which the daemon knows; with its own where none is
@@ -193,6 +197,13 @@ class Scenario:
         if transport and transport not in TRANSPORTS:
             raise SetupError(f"no transport '{transport}'; there are {', '.join(TRANSPORTS)}")
         return replace(self, transport=transport) if transport else self
+
+
+def _has_modules(layout: str) -> bool:
+    """Whether a hub can carry it: its taxels are T1, T2, … of few enough modules."""
+    uid = layouts.read(layout).uid
+    name = uid & 0xF
+    return bool((name > 0).all() and (name < NAMES).all()) and len({*(uid >> 4)}) <= MAX_MODULES
 
 
 def shipped() -> dict[str, Path]:
