@@ -9,9 +9,9 @@ from taxeld.model.observation import Observation
 LIVE = np.ones(4, dtype=bool)
 
 
-def feel(strongest: float, x: float = 0.0) -> Observation:
+def feel(strongest: float, x: float = 0.0, place_sd_m: float = 0.0) -> Observation:
     z = np.array([strongest, 0.0, 0.0, 0.0])
-    return Observation(np.array([x, 0.0, 0.0]), z, LIVE)
+    return Observation(np.array([x, 0.0, 0.0]), z, LIVE, place_sd_m=place_sd_m)
 
 
 STAYS = [0.0] * 7
@@ -40,6 +40,16 @@ def test_what_counts_at_20_hz(what: str) -> None:
     news, (readings, x, expected) = News(0.04), COUNTED[what]
     felt = [news.on_scan(0.05 * k, feel(z, x[k])) for k, z in enumerate(readings)]
     assert {k: told.z.max() for k, told in enumerate(felt) if told is not None} == expected
+
+
+@pytest.mark.parametrize(("held_sd_m", "counted"), [(0.001, 0.6), (0.002, 0.6), (0.003, 0.61)])
+def test_of_a_press_the_scan_that_is_placed_better_counts(held_sd_m: float, counted: float) -> None:
+    news = News(0.04)
+    assert news.on_scan(0.0, feel(0.2)) is None
+    assert news.on_scan(0.05, feel(0.61, place_sd_m=0.002)) is None
+    used = news.on_scan(0.1, feel(0.6, place_sd_m=held_sd_m))
+    assert used is not None
+    assert used.z.max() == counted
 
 
 def test_a_flicker_does_not_begin_a_contact() -> None:

@@ -65,6 +65,20 @@ def test_a_touch_that_is_two_millimetres_off_is_explained_with_slack_alone(
     assert about.explain(truth).sum() > exact.explain(truth).sum() + 20.0
 
 
+def test_a_place_that_is_known_badly_is_a_scans_own_slack(box_model: ObservationModel) -> None:
+    """A touch's and a silent one's; and a scan that is taken from the memory has it still."""
+    none, slack = Memory(box_model, NOISE), Memory(box_model, NOISE, slack=Slack(3.0 * SD_M))
+    poses = 0.004 * np.random.default_rng(0).standard_normal((20, 3))
+    scans = [read(box_model, press, np.zeros(2)) for press in presses(box_model, 3)]
+    scans.append(replace(scans[0], z=np.zeros(len(scans[0].z))))
+    for scan in scans:
+        vague = none.plus(replace(scan, place_sd_m=3.0 * SD_M))
+        assert np.allclose(vague.explain(poses), slack.plus(scan).explain(poses))
+        assert not np.allclose(vague.explain(poses), none.plus(scan).explain(poses))
+        assert vague.plus(scan).scan(0).place_sd_m == pytest.approx(3.0 * SD_M)
+        assert np.array_equal(vague.only(vague.link == 0).variance, vague.variance)
+
+
 def test_without_slack_nothing_changes(box_model: ObservationModel) -> None:
     exact, none = Memory(box_model, NOISE), Memory(box_model, NOISE, slack=Slack(SD_M, SD_M, 0.0))
     for press in presses(box_model, 3):

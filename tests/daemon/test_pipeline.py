@@ -112,9 +112,9 @@ def test_a_scan_waits_for_the_pose_at_its_time(box: Bundle) -> None:
     pipeline.poses.add(scan.t - 0.01, 0.30, 0.0, 0.0)
     assert list(pipeline.advance([scan], scan.t + 0.001)) == []
     assert list(pipeline.advance([], scan.t + 0.01)) == []
-    pipeline.poses.add(scan.t + 0.01, 0.32, 0.0, 0.0)
+    pipeline.poses.add(scan.t + 0.01, 0.31, 0.0, 0.0)
     (outcome,) = pipeline.advance([], scan.t + 0.012)
-    assert outcome.sensor == pytest.approx([0.31, 0.0, 0.0])
+    assert outcome.sensor == pytest.approx([0.305, 0.0, 0.0])
     assert pipeline.inputs.scans_waited == 1
 
 
@@ -126,7 +126,7 @@ def test_a_scan_does_not_wait_for_its_pose_for_ever(
     pipeline, skin = begun(box)
     skin.t += 1.0
     scan = skin.scan()
-    pipeline.poses.add(scan.t - pose_age_s, 0.4, 0.0, 0.0)
+    pipeline.poses.add(scan.t - pose_age_s, 0.31, 0.0, 0.0)
     assert list(pipeline.advance([scan], scan.t)) == []
     assert list(pipeline.advance([], scan.t + 0.019)) == []
     (outcome,) = pipeline.advance([], scan.t + 0.021)
@@ -137,6 +137,7 @@ def test_a_scan_does_not_wait_for_its_pose_for_ever(
 def test_a_scan_a_little_after_the_last_pose_is_placed_by_its_speed(box: Bundle) -> None:
     pipeline, skin = begun(box, ROBOT, EXTRAPOLATE_S)
     scan = skin.scan()
+    pipeline.poses.add(scan.t - 0.028, 0.29, 0.0, 3.13)
     pipeline.poses.add(scan.t - 0.018, 0.30, 0.0, 3.14)
     pipeline.poses.add(scan.t - 0.008, 0.31, 0.0, -3.13)
     (outcome,) = pipeline.advance([scan], scan.t + 0.001)

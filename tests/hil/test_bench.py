@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import zmq
 
-from taxeld.stream.topics import OBJECT_POSE, SENSOR_POSE
+from taxeld.stream.topics import SENSOR_POSE
 from taxeld_hil.rig.bench import Bench, recorded
 from taxeld_hil.rig.ports import ArrayPort
 from taxeld_hil.rig.rig import Rig
@@ -93,7 +93,7 @@ def test_poses_count_as_heard_only_while_somebody_listens_to_them(
     bench: Bench, sockets: Sockets
 ) -> None:
     ledger = bench.rig.ledger
-    host = sockets.subscriber(POSES, OBJECT_POSE)
+    host = sockets.subscriber(POSES, b"/robot/other")
     settled(bench)
     assert ledger.poses_heard == 0
     host.setsockopt(zmq.SUBSCRIBE, SENSOR_POSE)

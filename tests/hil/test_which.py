@@ -1,17 +1,13 @@
 """A daemon that knows three objects says which one it is; the harness holds it to that."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from taxeld.pipeline.calibration_check import CalibrationCheck
 
 from taxeld.commands.replay import Replay
 from taxeld.estimator.estimate import Status
-from taxeld.model.observation import Observation
-from taxeld.model.symmetry import Mode
 from taxeld.pipeline.freshness import Why
 from taxeld.proposals import several
 from taxeld_hil.grade.grade import Run, grade
@@ -42,30 +38,6 @@ def test_a_session_replays_to_the_object_that_was_found(tmp_path: Path) -> None:
     assert replay.names[estimate.object] == "035_power_drill"
     assert estimate.objects[estimate.object] > 0.99
     assert estimate.status is Status.CONVERGED
-
-
-def test_the_calibration_is_judged_by_the_published_object_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """By its modes, and anew where another object is published."""
-    run = FakeRun(WHICH.touching("mug"), seed=1, rate_hz=RATE_HZ)
-    taken = CalibrationCheck.on_scan
-    assert run.daemon is not None
-    pipeline, seen = run.daemon.pipeline, list[int]()
-
-    def on_scan(
-        check: CalibrationCheck, used: Observation | None, modes: Sequence[Mode], contacts: int
-    ) -> None:
-        models = [known.model for known in pipeline.estimator.known]
-        (number,) = {mode.object for mode in modes}
-        assert check._model is models[number]
-        seen.append(number)
-        taken(check, used, modes, contacts)
-
-    monkeypatch.setattr(CalibrationCheck, "on_scan", on_scan)
-    run.run()
-    assert seen[-1] == 1
-    assert len(set(seen)) > 1
 
 
 def judged(number: int) -> Judge:

@@ -103,6 +103,11 @@ class SourceConfig:
         """An endpoint or a device: where frames of this kind come from."""
         return self.endpoint if self.kind == "array" else self.channel
 
+    @property
+    def is_unstamped(self) -> bool:
+        """Whether what comes is dated when it is read: neither sender nor kernel stamps it."""
+        return self.kind == "serial" or (self.kind == "can" and self.interface != "socketcan")
+
 
 @dataclass(frozen=True, slots=True)
 class SceneConfig:

@@ -12,7 +12,7 @@ from taxeld.estimator.mixture import REMEMBERED, SILENT_MAX
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation
 
-VERSION = 1  # of `scan_arrays`
+VERSION = 2  # of `scan_arrays`
 OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd"
 OF_TAXELS = "z", "live", "floor", "residue", *OF_NOISE
 MOVED = 0.05  # probability that the object was moved while no daemon ran
@@ -54,11 +54,12 @@ def scan_arrays(scans: Sequence[Used]) -> Arrays:
     found: Arrays = {name: np.zeros((len(scans), most), np.float32) for name in OF_TAXELS}
     found["number"] = np.array([number for _, number in scans], np.int64)
     found |= {name: np.zeros(len(scans), np.int64) for name in ("size", "link")}
-    found |= {"sensor": np.zeros((len(scans), 3)), "outliers": np.zeros(len(scans))}
+    found |= {"sensor": np.zeros((len(scans), 3))}
+    found |= {name: np.zeros(len(scans)) for name in ("place_sd_m", "outliers")}
     for k, (scan, _) in enumerate(scans):
         noise, size = scan.noise or Noise(math.nan, outliers=math.nan), len(scan.z)
         found["size"][k], found["link"][k], found["sensor"][k] = size, scan.link, scan.sensor
-        found["outliers"][k] = noise.outliers
+        found["place_sd_m"][k], found["outliers"][k] = scan.place_sd_m, noise.outliers
         for name in OF_TAXELS:
             found[name][k, :size] = getattr(noise if name in OF_NOISE else scan, name)
     return found
@@ -75,6 +76,6 @@ def scans_of(arrays: Arrays) -> list[Used]:
         outliers = arrays["outliers"][k].item()
         known = None if math.isnan(outliers) else Noise(outliers=outliers, **noise)
         own["live"] = own["live"] > 0.0
-        link, sensor = arrays["link"][k].item(), arrays["sensor"][k]
-        scans.append((Observation(sensor, **own, noise=known, link=link), number.item()))
+        own |= {name: arrays[name][k].item() for name in ("link", "place_sd_m")}
+        scans.append((Observation(arrays["sensor"][k], **own, noise=known), number.item()))
     return scans

@@ -36,7 +36,8 @@ class Intake:
         before, self._sensor, self.t = self._sensor, sensor, a.t
         if least == most == 0.0:  # the usual case: nothing is stuck, and nothing leaks
             self._stuck.released()
-            return Observation(sensor, a.z, a.live, a.floor, a.residue, a.noise, self._link)
+            z, live, floor, residue = a.z, a.live, a.floor, a.residue
+            return Observation(sensor, z, live, floor, residue, a.noise, self._link, a.place_sd_m)
         moved = 0.0 if before is None else moved_m(before, sensor, self._radius_m)
         z = np.clip(activation.z, 0.0, 1.0)
         stuck = self._stuck.on_scan(z, moved) & activation.live
@@ -45,7 +46,7 @@ class Intake:
         z, floor, residue = self._leak.without(
             np.where(live, z, 0.0), activation.floor, activation.residue
         )
-        return Observation(sensor, z, live, floor, residue, a.noise, self._link)
+        return Observation(sensor, z, live, floor, residue, a.noise, self._link, a.place_sd_m)
 
     def _is_usable(self, t: float, sensor: Poses, least: float, most: float) -> bool:
         """Whether time, pose (3,) and activations from `least` to `most` can be used."""

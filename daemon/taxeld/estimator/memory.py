@@ -29,6 +29,7 @@ from taxeld.model.symmetry import Mode, PoseMetric
 Number = TypeVar("Number", np.intp, np.float64)
 
 LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
+SCANS = ("_sensor", "_own", "link", "number", "pressed", "anything", "_untouched")  # (K, …)
 FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
 
 
@@ -112,6 +113,7 @@ class Memory:
         self.prior = prior
         self.term: PriorTerm | None = None  # a prior that was given
         self._sensor = np.empty((0, 3))
+        self._own = np.empty(0)  # (K,) variance of each sensor's place by itself [m²]
         taxels = max(len(each.layout) for each in self._links)
         self._kept: Grid = np.empty((len(Kept), 0, taxels), np.float32)
         self.link = np.empty(0, dtype=np.intp)  # (K,)
@@ -206,6 +208,7 @@ class Memory:
         made._kept = np.concatenate([self._kept, kept[:, None]], axis=1)
         made.link = _and(self.link, observation.link)
         made._sensor = np.concatenate([self._sensor, observation.sensor[None]])
+        made._own = _and(self._own, observation.place_sd_m**2)
         made.number = _and(self.number, number)
         made.newest = max(self.newest, number)
         made.pressed = _and(self.pressed, told.pressed)
@@ -229,9 +232,8 @@ class Memory:
         own = self._kept[:, k, : len(self._links[link].layout)]
         z, level, residue, live = own[[Kept.Z, Kept.LEVEL, Kept.RESIDUE, Kept.LIVE]]
         floor = np.where(z > 0.0, 0.0, level)  # pressed taxels need no floor
-        return Observation(
-            self._sensor[k], z.astype(np.float64), live > 0.0, floor, residue, link=link
-        )
+        z, sd_m = z.astype(np.float64), float(np.sqrt(self._own[k]))
+        return Observation(self._sensor[k], z, live > 0.0, floor, residue, None, link, sd_m)
 
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """A memory of the scans in the mask `kept` (K,), with the prior or without."""
@@ -239,7 +241,7 @@ class Memory:
         made.prior, made.term = (self.prior, self.term) if prior else (None, None)
         made._runs = made._for_c = None
         made._kept = self._kept.compress(kept, axis=1)  # contiguous, as the C code needs it
-        for name in ("_sensor", "link", "number", "pressed", "anything", "_untouched"):
+        for name in SCANS:
             setattr(made, name, getattr(self, name)[kept])
         steps = {made.term.step} if made.term else set()
         steps.update((made.number + made.silent).tolist())
@@ -256,8 +258,7 @@ class Memory:
         """A memory for this object of the scans that another object's has, and of their slack."""
         made = copy.copy(self)
         made._forget(None)
-        scans = ("_sensor", "_kept", "link", "number", "pressed", "anything", "_untouched")
-        for name in (*scans, "newest", "slack", "moves"):
+        for name in (*SCANS, "_kept", "newest", "slack", "moves"):
             setattr(made, name, getattr(other, name))
         first = min(other.before, default=0)
         made.term = self.term
@@ -266,9 +267,10 @@ class Memory:
         made.before |= {k: z + SWAPPED * (k > first) for k, z in other.before.items()}
         return made
 
-    def slack_m(self, k: int) -> float:
-        """Standard deviation of the k-th scan's offset [m]."""
-        return float(np.sqrt(self.slack.variance(self.newest - self.number[k])))
+    @property
+    def variance(self) -> Floats:
+        """(K,) variance of each scan's offset [m²]."""
+        return self.slack.variance(self.newest - self.number) + self._own
 
     def of_scans(self, explained: Floats) -> Floats:
         """Columns of the scans alone: (…, terms) as from `explain` → (…, K)."""
@@ -325,8 +327,7 @@ class Memory:
         if code is not None and link in cached:
             return code.explain(cached[link], poses)
         kept = self._kept[:, at, : len(self._links[link].layout)]
-        variance = self.slack.variance(self.newest - self.number[at])
-        sensor, silent = self._sensor[at], self.silent[at]
+        variance, sensor, silent = self.variance[at], self._sensor[at], self.silent[at]
         if code is None:
             return self._met(self._links[link], kept, sensor, variance, silent, poses)
         cached[link] = code.scans(kept, sensor, variance, silent)
@@ -382,9 +383,8 @@ class Memory:
         near = model.pressed_from(self._sensor[scans], poses, len(scans))
         at = near.row // n * taxels + near.taxel
         kept = self._kept[:, scans, :taxels]
-        variance = self.slack.variance(self.newest - self.number[scans])
         fields = kept.reshape(len(Kept), -1).take(at, axis=1)
-        met = self._pressed(near, fields, np.repeat(variance, n))
+        met = self._pressed(near, fields, np.repeat(self.variance[scans], n))
 
         def mean(values: Grid) -> Floats:
             total = np.bincount(at, values, len(scans) * taxels)

@@ -339,7 +339,8 @@ class Mixture:
             return strictness * memory.runs.support(explained)
 
         samples = samples.copy()
-        samples[:, :2] += memory.slack_m(scan) * rng.standard_normal((len(samples), 2))
+        sd_m = np.sqrt(memory.variance[scan])
+        samples[:, :2] += sd_m * rng.standard_normal((len(samples), 2))
         opinion = pf.equal(samples, memory.explain(samples))
         return injection.anneal(opinion, own_contact, all_of_it, memory.explain, rng, self._scale)
 

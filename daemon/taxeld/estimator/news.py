@@ -76,9 +76,9 @@ class News:
         return observation if not rising and self._is_new(observation) else None
 
     def _ended(self, held: Observation | None = None) -> Observation | None:
-        """The pending press: the given scan of it, or its strongest."""
-        pending, self._pending = self._pending, None
-        return held or pending
+        """The pending press: the given scan of it, or its strongest where that is placed better."""
+        of_press, self._pending = [one for one in (held, self._pending) if one], None
+        return min(of_press, key=lambda one: one.place_sd_m, default=None)
 
     def _is_new(self, observation: Observation) -> bool:
         used = self._used

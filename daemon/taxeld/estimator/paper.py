@@ -1,5 +1,7 @@
 """Algorithm 1 of Marić et al. 2025, kept as the baseline."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from taxeld.arrays import Poses
@@ -67,7 +69,7 @@ class Paper:
         """Learn from a scan and samples (S, 3) of it, without judging the result; → log
         evidence."""
         injection.paper(self.belief, samples)
-        memory = self._nothing.plus(observation)
+        memory = self._nothing.plus(replace(observation, place_sd_m=0.0))
         self.belief.remembered = memory.explain(self.belief.pose)
         evidence = pf.reweight(self.belief, self.belief.remembered[:, 0])
         if evidence is None:

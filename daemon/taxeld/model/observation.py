@@ -31,6 +31,7 @@ class Observation:
     residue: Floats | float = 0.0  # (M,) part of a reading that earlier presses may have left
     noise: Noise | None = None  # errors of each taxel, where they are known
     link: int = 0  # number of the link whose skin it is
+    place_sd_m: float = 0.0  # of the sensor's place, beside what every place is off
 
     @property
     def is_contact(self) -> bool:

@@ -276,6 +276,7 @@ class Pipeline:
         been added."""
         clock, by, link = self.samples.clock, self._stepped_s, self.stages.index(stage)
         scan = stage.waiting.popleft()[1]
+        late_s = stage.pace.late_s(scan.ihb, scan.t)
         start = clock()
         activation = stage.skin.on_scan(scan)
         skin_ns = clock() - start
@@ -284,12 +285,13 @@ class Pipeline:
         if activation is None:
             stage.fresh.last = Why.STARTING
             return self._unused(scan, skin_ns, link)
-        sensor = stage.poses.at(scan.t + by)
-        if sensor is None:
+        sensor, sd_m = stage.poses.at(scan.t + by), stage.poses.sd_m(scan.t + by, late_s)
+        if sensor is None or sd_m > stage.config.filter.within_m:
             stage.inputs.scans_without_pose += 1
             stage.fresh.last = Why.NO_POSE
             return replace(self._unused(scan, skin_ns, link), activation=later(activation, by))
         stage.fresh.last = Why.VALID
+        activation = replace(activation, place_sd_m=sd_m)
         spent_ns = self._believe(activation, sensor, link)
         return Outcome(self.estimate, later(activation, by), sensor, skin_ns, *spent_ns, link)
 

@@ -1,14 +1,16 @@
 """The sensor's pose at the time of a scan: between two poses, or extrapolated shortly after the
-last one."""
+last one; and how well it is known, by the age of the nearest pose and the scan's own time."""
 
 import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
+from itertools import islice
 
 import numpy as np
 
 from taxeld.arrays import Poses
+from taxeld.estimator.news import moved_m
 from taxeld.model import se2
 
 KEPT = 512  # poses: five seconds at 100 Hz
@@ -17,6 +19,8 @@ EXTRAPOLATE_S = 0.02  # of a live robot, whose next pose may be on its way
 FAR_M = 10.0  # a pose whose |x| or |y| is larger is in a wrong unit
 FUTURE_S = 0.1  # a pose stamped farther in the future was stamped wrongly
 REACH_PERIODS = 2.0  # pose periods after the last pose for which its motion is taken to go on
+BRIEF_S = 1e-3  # poses that are closer in time were stamped as they were sent, not measured
+PACED = 4  # scans of a hub whose pace the next is held to: one that was lost is soon forgotten
 BACK_MAX = 10  # ordered poses in a row before the last one: the robot's clock was set back
 
 OnPose = Callable[[float, float, float, float], None]
@@ -26,12 +30,18 @@ class PoseTrack:
     """The last poses (t, x, y, θ) of the sensor in the world; bounded memory."""
 
     def __init__(
-        self, on_pose: OnPose | None = None, mount: Poses | None = None, extrapolate_s: float = 0.0
+        self,
+        on_pose: OnPose | None = None,
+        mount: Poses | None = None,
+        extrapolate_s: float = 0.0,
+        reach_m: float = 0.0,
     ) -> None:
         """`on_pose` is called with every accepted pose (t, x, y, θ), as it came. `mount` (3,): the
         sensor's frame in the frame of the poses. `extrapolate_s`: longest time
-        after the last pose for which the motion of the last two is taken to go on."""
+        after the last pose for which the motion of the last two is taken to go on. `reach_m`: of
+        the skin from the sensor's axis."""
         self.mount = mount
+        self._lever_m = reach_m + (0.0 if mount is None else math.hypot(*mount[:2]))
         self.extrapolate_s = extrapolate_s
         self._on_pose = on_pose
         self.taken = 0
@@ -41,6 +51,7 @@ class PoseTrack:
         self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last time
         self._t: deque[float] = deque(maxlen=KEPT)
         self._pose: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
+        self._speed: deque[float] = deque(maxlen=KEPT)  # of the skin since the pose before [m/s]
 
     @property
     def latest_t(self) -> float:
@@ -58,6 +69,7 @@ class PoseTrack:
             return
         self._back = 0
         self.taken += 1
+        self._speed.append(self._speed_to(t, (x, y, theta)))
         self._t.append(t)
         self._pose.append((x, y, theta))
         if self._on_pose is not None:
@@ -76,8 +88,15 @@ class PoseTrack:
 
     def clear(self) -> None:
         """Forget all poses: their times are of another clock."""
-        self._t.clear()
-        self._pose.clear()
+        for each in (self._t, self._pose, self._speed):
+            each.clear()
+
+    def _speed_to(self, t: float, pose: tuple[float, float, float]) -> float:
+        """Speed of the skin [m/s] since the last pose; 0 where there is none, or one is wrong."""
+        if not self._t or math.dist(self._pose[-1][:2], pose[:2]) > se2.JUMP_M:
+            return 0.0
+        way_m = moved_m(np.array(self._pose[-1]), np.array(pose), self._lever_m)
+        return way_m / max(t - self._t[-1], BRIEF_S)
 
     def _is_set_back(self, t: float) -> bool:
         """Whether enough poses from the past came in a row that they are the present."""
@@ -94,20 +113,34 @@ class PoseTrack:
         came = self._came(t)
         return came if came is None or self.mount is None else se2.compose(came, self.mount)
 
+    def sd_m(self, t: float, late_s: float = 0.0) -> float:
+        """Standard deviation of the skin's place at a time t of which `at` has a pose, beside the
+        robot's own: the way it goes at its greatest speed about then in the time to the nearest
+        pose, and in what t is off where it may be too late by anything up to `late_s`."""
+        i = bisect_right(self._t, t)
+        if not i:
+            return 0.0
+        newest = i if self._is_between(i) else i - 1
+        age_s = min(abs(t - self._t[k]) for k in (i - 1, newest))
+        first = max(min(bisect_right(self._t, t - late_s), newest) - 1, 0)
+        return max(islice(self._speed, first, newest + 1)) * math.hypot(
+            age_s, late_s / math.sqrt(3.0)
+        )
+
     def _came(self, t: float) -> Poses | None:
         """The pose (3,) at time t of the frame that the robot sends."""
         i = bisect_right(self._t, t)
         if i == 0:
             return None
-        before: Poses = np.array(self._pose[i - 1])
-        t_before = self._t[i - 1]
-        if i == len(self._t):
-            if self._goes_on(t):
-                return self._between(i - 2, t)
-            return before if t - t_before <= AGE_S else None
-        if self._t[i] - t_before > AGE_S:
-            return before if t - t_before <= AGE_S else None
-        return self._between(i - 1, t)
+        if self._is_between(i):
+            return self._between(i - 1, t)
+        if i == len(self._t) and self._goes_on(t):
+            return self._between(i - 2, t)
+        return np.array(self._pose[i - 1]) if t - self._t[i - 1] <= AGE_S else None
+
+    def _is_between(self, i: int) -> bool:
+        """Whether pose number i and the one before tell of the time between them."""
+        return i < len(self._t) and self._t[i] - self._t[i - 1] <= AGE_S
 
     def _goes_on(self, t: float) -> bool:
         """Whether the last two poses tell the pose at the later time t."""
@@ -127,6 +160,24 @@ class PoseTrack:
         return np.array([before[0] + share * x, before[1] + share * y, theta])
 
 
+class Pace:
+    """How late a scan may be dated on a line without time stamps, whose bytes are dated as they are
+    read. A hub keeps its pace, so a scan that comes behind the pace of the last ones was read so
+    much later, or one before it was lost: it is taken to be a period late at most."""
+
+    def __init__(self, period_s: float) -> None:
+        """`period_s`: of the scans; inf where they have stamps."""
+        self._period_s = period_s
+        self._last: dict[int, deque[float]] = {}  # hub → times of its last scans
+
+    def late_s(self, ihb: int, t: float) -> float:
+        """How much later than it was sent the next scan of a hub may be dated, at t."""
+        last = self._last.setdefault(ihb, deque(maxlen=PACED))
+        behind = [t - before - k * self._period_s for k, before in enumerate(last, 1)]
+        last.appendleft(t)
+        return min(max([0.0, *behind]), self._period_s)
+
+
 class StandingStill:
     """A sensor without a robot: always at the origin."""
 
@@ -140,6 +191,10 @@ class StandingStill:
     @staticmethod
     def reaches(t: float) -> bool:  # noqa: ARG004
         return True
+
+    @staticmethod
+    def sd_m(t: float, late_s: float) -> float:  # noqa: ARG004
+        return 0.0
 
     def clear(self) -> None:
         """There is nothing to forget."""

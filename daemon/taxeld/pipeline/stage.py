@@ -1,16 +1,19 @@
 """One link's way to the estimator: its skin, its sensor's poses, and the scans that wait for
 them."""
 
+import math
 from collections import deque
 from dataclasses import asdict
 from typing import Any
+
+import numpy as np
 
 from taxeld.config.tables import Config
 from taxeld.estimator.rule import noise_of
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.freshness import LinkInputs, Why
 from taxeld.pipeline.outcome import InputCounters, later
-from taxeld.pipeline.poses import OnPose, PoseTrack, StandingStill
+from taxeld.pipeline.poses import OnPose, Pace, PoseTrack, StandingStill
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
@@ -42,7 +45,9 @@ class LinkStage:
         self.poses: PoseTrack | StandingStill = StandingStill()
         if config.sensor_pose.endpoint:
             mount = None if calibration is None else calibration.mount
-            self.poses = PoseTrack(on_pose, mount, extrapolate_s)
+            reach_m = float(np.hypot(*layout.position_m[:, :2].T).max())
+            self.poses = PoseTrack(on_pose, mount, extrapolate_s, reach_m)
+        self.pace = Pace(config.source.period_ms / 1e3 if config.source.is_unstamped else math.inf)
         self.inputs = InputCounters()
         self.waiting: deque[tuple[float, Scan]] = deque()  # scans with their times of arrival
 
