@@ -119,7 +119,7 @@ def test_an_advised_touch_tells_apart_what_most_others_leave_open(
     others = [every[c][2] for c in rng.choice(len(every), OTHERS, replace=False).tolist()]
     left = float(np.mean([share_right(model, one) for one in others]))
     advised = share_right(model, best)
-    assert advised > 0.99
+    assert advised > 0.9
     assert advised > left + 0.15
 
 

@@ -39,8 +39,9 @@ def test_each_package_says_that_it_has_types(package: str) -> None:
 
 
 def plain(text: str) -> str:
-    """A text without its numbers, and without the spaces by which arrays are aligned."""
-    return re.sub(" +", " ", pages.NUMBER.sub("N", text))
+    """A text without its numbers and statuses, and the spaces by which arrays are aligned."""
+    text = re.sub("|".join(api.Status.__members__), "STATUS", pages.NUMBER.sub("N", text))
+    return re.sub(r"(?<=\[) +| +(?=[] ])", "", text)
 
 
 def test_the_page_prints_what_it_shows(place: Path) -> None:

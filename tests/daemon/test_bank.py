@@ -115,7 +115,7 @@ def test_a_touch_is_learned_by_a_few_objects_at_once(known: list[Known]) -> None
     left = [k for k in range(len(known)) if k in subject.bank.due]
     assert len(left) == behind
     assert now.objects[left[0]] / max(now.objects) == pytest.approx(
-        before.objects[left[0]] / max(before.objects), rel=0.5
+        before.objects[left[0]] / max(before.objects), rel=0.7
     )
     while subject.bank.is_behind:
         assert subject.has_thought
@@ -135,7 +135,7 @@ def test_a_contact_that_an_object_has_yet_to_learn_is_no_evidence_before_it(
     world.press(subject, SIDES[1])
     assert subject.bank.due
     for k in subject.bank.due:
-        assert rules[k].log_z == pytest.approx(before[k], abs=0.5)
+        assert rules[k].log_z == pytest.approx(before[k], abs=1.0)
 
 
 def test_modes_are_of_the_named_object_first(known: list[Known]) -> None:

@@ -21,7 +21,6 @@ from taxeld.proposals.analytic import Projection
 from taxeld.stream import messages
 from tests.rig.pressed_box import (
     TRUTH,
-    Knowing,
     World,
     approach,
     box_side,
@@ -150,9 +149,12 @@ def test_reset_begins_anew(box_model: ObservationModel) -> None:
 
 
 def test_without_live_taxels_it_is_blind(box_model: ObservationModel) -> None:
-    subject = estimator(box_model)
-    dead = Activation(0.0, np.ones(32), np.zeros(32, dtype=bool))
-    assert subject.on_scan(dead, np.zeros(3)).status is Status.BLIND
+    """Even where the scan is of no use, because the sensor is said to have jumped."""
+    world, subject = settled(box_model)
+    dead = Activation(world.t + 1.0, np.ones(32), np.zeros(32, dtype=bool))
+    for sensor in (world.sensor, world.sensor + 1e9, world.sensor):
+        assert subject.on_scan(dead, sensor).status is Status.BLIND
+        assert not subject.think()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -284,7 +286,7 @@ def test_the_opposite_side_is_considered_though_no_sample_is_there(skin: Layout)
     """A box whose symmetry is not known: turned by half it explains all touches as well."""
     scene = scene_of(box(0.03, 0.06), skin, symmetry=1)
     world = World(ObservationModel(scene, skin, 0.005))
-    subject = Estimator(world.model, Knowing(world), FilterConfig())
+    subject = world.knowing()
     for side in (0.2, 1.3, 2.9):
         world.press(subject, side)
     one, other = subject.estimate.modes

@@ -79,7 +79,7 @@ def test_each_contact_that_is_explained_adds_evidence_of_the_object(felt: Felt) 
     assert np.diff(evidence).min() > -1.0
     assert evidence[-1] > evidence[0] + 10.0
     assert other[0] > 0.05
-    assert other[-1] < 1e-3
+    assert other[-1] < 0.01
 
 
 def test_one_contact_does_not_tell_that_the_object_has_moved(felt: Felt) -> None:
@@ -92,15 +92,14 @@ def test_a_contact_that_is_elsewhere_tells_that_the_object_stands_no_more(felt: 
     felt.touch(SIDES[:5])
     assert felt.weighed()[0].stands > 0.8
     felt.touch(SIDES[:1], THERE)
-    stands, moved, other = felt.weighed()[0]
-    assert stands < max(moved, other)
+    assert felt.weighed()[0].stands < 0.5
 
 
 def test_a_belief_that_explains_all_since_a_move_has_the_object_and_it_has_moved(
     felt: Felt,
 ) -> None:
     felt.touch(SIDES[:3])
-    felt.touch(SIDES, THERE)
+    felt.touch(2 * SIDES, THERE)
     hypotheses, here, _ = felt.weighed(THERE)
     assert hypotheses.moved > 0.9
     assert here > 0.9

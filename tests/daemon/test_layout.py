@@ -196,8 +196,11 @@ class TestFit:
     def test_half_a_circle_with_noise_does_not_shrink(self):
         position, normal = arc(180.0)
         rng = np.random.default_rng(0)
-        noisy = position + 0.003 * rng.standard_normal((len(position), 1)) * normal
-        assert cylinder_fit.fit(noisy, normal).radius_m == pytest.approx(0.07, abs=0.0005)
+        found = [
+            cylinder_fit.fit(position + off * normal, normal).radius_m
+            for off in 0.003 * rng.standard_normal((50, len(position), 1))
+        ]
+        assert np.mean(found) == pytest.approx(0.07, abs=0.0005)
 
     def test_tells_which_normals_point_inwards(self):
         position, normal = arc(180.0)

@@ -10,6 +10,7 @@ from taxeld.estimator.memory import Memory, Slack
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
+from tests.rig.pressed_box import box_side
 
 SD_M = 0.001
 NOISE = Noise(sigma=0.04, gain_cv=0.17)
@@ -90,7 +91,7 @@ def test_without_slack_nothing_changes(box_model: ObservationModel) -> None:
 
 def test_an_old_touch_fades_by_what_has_happened_since(box_model: ObservationModel) -> None:
     """An object that gives way at each touch: the same reading says less of where it is now."""
-    press = presses(box_model, 1)[0]
+    press = se2.inverse(box_side(box_model, 0.2, 0.003))
     memory = Memory(box_model, NOISE, slack=Slack(0.0, SD_M))
     poses = np.linspace(-0.004, 0.004, 9)[:, None] * np.eye(3)[0]
     spread = []

@@ -57,6 +57,10 @@ class World:
         self.model, self.truth, self.sensor, self.t = model, TRUTH, np.zeros(3), 0.0
         self.gain: Floats | float = 1.0  # of the taxels
 
+    def knowing(self, **keys: int) -> Estimator:
+        """An estimator whose samples are near the truth."""
+        return Estimator(self.model, Knowing(self), FilterConfig(**keys))  # type: ignore[arg-type]
+
     def press(self, subject: Estimator, angle: float, depth_m: float = 0.003) -> Estimate:
         """Come near at an angle about the object, press, hold, let go; → the held estimate."""
         seen = box_side(self.model, angle, depth_m)
@@ -67,6 +71,14 @@ class World:
         self.t += 1.0
         self.feel(subject, away)
         return held
+
+    def find(self, subject: Estimator, least: int = 1, most: int = 12) -> Estimate:
+        """Press from further and further sides until the estimate is sure."""
+        for k in range(most):
+            estimate = self.press(subject, 0.2 + 1.35 * k)
+            if k + 1 >= least and estimate.status is Status.CONVERGED:
+                return estimate
+        raise AssertionError(f"{estimate.status!r} with p = {estimate.p} after {most} touches")
 
     def feel(self, subject: Estimator, at: Poses) -> Estimate:
         self.sensor = se2.compose(self.truth, at)
@@ -86,9 +98,7 @@ def box_side(model: ObservationModel, angle: float, depth_m: float) -> Poses:
 
 def settled(model: ObservationModel) -> tuple[World, Estimator]:
     world = World(model)
-    subject = Estimator(model, Knowing(world), FilterConfig())
-    for angle in (0.2, 1.3, 2.9, 4.5):
-        estimate = world.press(subject, angle)
-    assert estimate.status is Status.CONVERGED
+    subject = world.knowing()
+    estimate = world.find(subject, least=4)
     assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.003
     return world, subject

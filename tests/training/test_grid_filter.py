@@ -208,21 +208,22 @@ def test_there_is_no_belief_before_the_first_touch(model: ObservationModel) -> N
 
 
 def test_scans_before_the_first_touch_count_as_those_after_it(model: ObservationModel) -> None:
-    rng = np.random.default_rng(3)
-    pose = contact_poses(model, 1, rng)[0]
-    touch = NOISE.draw(model.activation(pose[None])[0], rng)
-    x, y = pose[:2]
-    # moved along the face, and in where the face would go on
-    beyond = se2.compose(SENSOR, np.array([0.3 * x - y, 0.3 * y + x, 0.0]))
-    scans = [(beyond, np.zeros(len(SKIN))), (SENSOR, touch)]
-    samples = []
-    for order in (scans, scans[::-1], scans[1:]):
-        belief = GridFilter(model, NOISE)
-        for sensor, z in order:
-            belief.update(Observation(sensor, z, LIVE))
-        samples.append(drawn(belief, 1000))
-    assert energy_distance(samples[0], samples[1], 0.05) < 0.005
-    assert energy_distance(samples[0], samples[2], 0.05) > 0.1
+    rng, told = np.random.default_rng(3), []
+    for pose in contact_poses(model, 4, rng):
+        touch = NOISE.draw(model.activation(pose[None])[0], rng)
+        x, y = pose[:2]
+        # moved along the face, and in where the face would go on
+        beyond = se2.compose(SENSOR, np.array([0.3 * x - y, 0.3 * y + x, 0.0]))
+        scans = [(beyond, np.zeros(len(SKIN))), (SENSOR, touch)]
+        samples = []
+        for order in (scans, scans[::-1], scans[1:]):
+            belief = GridFilter(model, NOISE)
+            for sensor, z in order:
+                belief.update(Observation(sensor, z, LIVE))
+            samples.append(drawn(belief, 1000))
+        assert energy_distance(samples[0], samples[1], 0.05) < 0.01
+        told.append(energy_distance(samples[0], samples[2], 0.05))
+    assert max(told) > 0.1  # some silence tells something
 
 
 def test_a_dead_taxels_reading_changes_nothing(model: ObservationModel) -> None:

@@ -40,7 +40,7 @@ Arrival = Item | PoseRow
 class Replay:
     """A recorded session, estimated anew; iterating over it goes through its scans, once.
 
-    The same session, configuration and seed give the same estimates, bit for bit.
+    The same session, configuration and seed give the same bytes on one machine and one build.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Replay:
 
 def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator[str]:
     """One JSON line a scan: the map of `/taxeld/estimate`, or of `/taxeld/contacts` where there is
-    no object. The same input and seed give the same bytes.
+    no object. The same input and seed give the same bytes on one machine and one build.
 
     Raises:
         SetupError: the session, or a file named by the configuration, cannot be used.

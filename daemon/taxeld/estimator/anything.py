@@ -29,7 +29,7 @@ class Anything:
         layout = model.layout
         self._place = layout.position_m
         self._angle = np.arctan2(layout.position_m[:, 1], layout.position_m[:, 0])
-        rng = np.random.default_rng(0)  # the shapes are always the same
+        rng = np.random.Generator(np.random.PCG64(0))  # the shapes are a constant
         heights, row = np.unique(layout.position_m[:, 2].round(4), return_inverse=True)
         self._row = row
         self._radius_m = layout.radius_m

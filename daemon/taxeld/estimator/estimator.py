@@ -33,13 +33,12 @@ RULES: dict[str, Callable[[ObservationModel, FilterConfig, float, np.random.Gene
     "mixture": Mixture,
 }
 
-
 LOST_S = 1.0  # a link that is heard no more for so long, while another is, touches nothing
 
 
 class Estimator:
-    """A belief about one object, changed by one scan at a time; the same scans and seed give the
-    same estimates, bit for bit."""
+    """A belief about one object, changed by one scan at a time. The same scans and seed give the
+    same bytes on one machine and one build."""
 
     def __init__(
         self,
@@ -82,9 +81,8 @@ class Estimator:
         # number of the last contact of which `taught` has told each link
         self._taught = [0] * len(links)
         self.used: Observation | None = None  # the scan that the last call learned from
-        self.unconsidered: Observation | None = (
-            None  # the last scan, until `think`, if it told nothing
-        )
+        # the last scan, until `think`, if it told nothing
+        self.unconsidered: Observation | None = None
         self.estimate = self._estimate(0.0)
 
     @property
@@ -127,6 +125,7 @@ class Estimator:
         leave it to the caller when to `think` about it; never raises."""
         self.counters.scans += 1
         self.used = self.unconsidered = None
+        self._is_dark = not activation.live.any()
         observation = self._intakes[link].observation(activation, sensor)
         if observation is None:
             self.estimate = self._estimate(max(self.estimate.t, self._t))

@@ -1,8 +1,8 @@
 """From scans to estimates: skins, sensor poses and belief in one pure object.
 
 The daemon's loop and the replay of a session run this same code. Arrivals are handed in with their
-times, so the same arrivals give the same estimates, byte for byte. Durations are measured by the
-samples' clock, if they have one.
+times, so the same arrivals give the same bytes on one machine and one build. Durations are measured
+by the samples' clock, if they have one.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
