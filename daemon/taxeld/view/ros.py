@@ -199,7 +199,7 @@ def diagnostics(t: float, name: str, e: Map, health: Map | None = None, hardware
         values |= {
             "age [ms]": f"{e['age_us'] / 1e3:.1f}",
             "overruns": e["overruns"],
-            "scans": health["loop"]["scans"],
+            "scans": health["source"]["scans"],
             "dead taxels": " ".join(map(str, health["dead_taxels"])) or "none",
             "scan to estimate p99 [ms]": f"{health['lat_us']['total']['p99'] / 1e3:.1f}",
         }

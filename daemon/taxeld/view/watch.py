@@ -156,8 +156,7 @@ class Page:
         inputs = health["inputs"]
         old_s = inputs.get("poses_age_s", -1.0)  # negative while no pose came
         pose = "without sensor poses" if old_s < 0.0 else f"sensor pose {1e3 * old_s:.0f} ms old"
-        stale = [kind for kind in ("scans", "poses") if inputs.get(f"{kind}_stale")]
-        age.append(f", {pose}" + (f"; STALE {', '.join(stale)}" if stale else ""))
+        age.append(f", {pose}")
         p99_ms = health["lat_us"]["total"]["p99"] / 1e3
         dropped = sum(health["source"].get("dropped", {}).values())
         counts = f"{health['loop']['overruns']} overruns, {dropped} frames dropped, "
