@@ -136,6 +136,21 @@ def test_faults_of_the_bus_have_a_row_with_their_counts_and_cures(running: Path)
     assert "; unread 3 (the kernel dropped" in row
 
 
+def test_a_value_has_a_row_where_it_is_not_0_and_has_a_cure() -> None:
+    answer = {
+        "estimate": documented("/taxeld/estimate")[1],
+        "health": documented("/taxeld/health")[1],
+    }
+    answer["health"]["estimator"]["jumps"] = 3
+    cure = "the sensor's pose: docs/troubleshooting.md#the-sensors-pose-is-missing"
+    assert [line.partition(": ")[2] for line in lines(answer) if line.startswith("Not 0")] == [
+        f"estimator.jumps 3: {cure}",
+        "stuck_taxels 17: mend them; taxeld tare",
+        "saturated_taxels 30: mend them; taxeld tare",
+        "untared_taxels 4: mend them; taxeld tare",
+    ]
+
+
 def test_status_says_why_an_estimate_is_not_valid() -> None:
     answer: dict[str, Any] = {"estimate": documented("/taxeld/estimate")[1]}
     assert not any(line.startswith("Not valid") for line in lines(answer))

@@ -21,9 +21,9 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
     calibration = pipeline.stages[0].calibration
     parts = {
         "uptime_s": now_s - daemon.start_s,
-        "loop": daemon.counters,
+        "loop": asdict(daemon.counters),
         "lat_us": {"total": daemon.publisher.latencies.percentiles()},
-        "realtime": daemon.realtime,
+        "realtime": asdict(daemon.realtime),
         "source": {
             **source.wire.stats(),
             **({"malformed": report.array.malformed} if source.comes_by_door else {}),

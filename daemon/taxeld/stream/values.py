@@ -5,7 +5,6 @@ Nothing else is published there; docs/stream.md has this table, `taxeld status` 
 
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, is_dataclass
 from typing import Any
 
 TABLE = """
@@ -18,7 +17,7 @@ last 4096, the longest since start
 `realtime.locked` | bool | memory stays in RAM
 `source.{frames,packets,bytes}` | int | received; good packets; of a serial line, received
 `source.dropped.*` | int | frames that were not used, by cause: checksum or length of the packet \
-wrong, its first frame missing, not from the skin → cable, terminators, bit rate
+wrong, its first frame missing, not from the skin → the log; of a bus: cable, terminators, bit rate
 `source.{crc_errors,length_errors}` | int | packets with a wrong checksum, of a wrong length → \
 cable, terminators, bit rate
 `source.{index_errors,malformed,unknown,undeclared}` | int | packets: beyond the declared modules, \
@@ -99,13 +98,12 @@ def published(counted: dict[str, Any], path: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in counted.items():
         name = path + key
-        part = asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
         if name == "links":
-            found[key] = {link: published(each) for link, each in part.items()}
-        elif isinstance(part, dict):
-            found[key] = published(part, f"{name}.")
+            found[key] = {link: published(each) for link, each in value.items()}
+        elif isinstance(value, dict):
+            found[key] = published(value, f"{name}.")
         elif cure(name) is not None or name == "why":  # of a link
-            found[key] = part
+            found[key] = value
     return found
 
 
