@@ -1,6 +1,6 @@
 """What a running daemon says of itself once a second, `/taxeld/health`: from all its parts.
 
-The table in `stream/values.py` chooses what is published of all that is counted.
+The table in `stream/values.md` chooses what is published of all that is counted.
 """
 
 from dataclasses import asdict
