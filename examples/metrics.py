@@ -16,8 +16,7 @@ import zmq
 SILENT_MS = 5_000  # without health: the daemon has ended, or cannot be reached
 UNITS = {"_us": 1e-6, "_s": 1.0}  # ends of keys whose values are times, in seconds
 GAUGES = {  # whole numbers that can fall; all others count since the start
-    *("source.pending", "inputs.scans_waiting", "realtime.fifo"),
-    *("modules.layout", "modules.foreign"),
+    *("inputs.scans_waiting", "realtime.fifo", "modules.layout", "modules.foreign"),
 }
 
 

@@ -161,19 +161,10 @@ class Decoder:
     def stats(self) -> dict[str, int | dict[str, int]]:
         """All counters; `frames` = `used` + the sum of `dropped` + `pending`."""
         link: dict[str, int] = asdict(self.link.counters)
+        dropped = {cause: link.pop(cause) for cause in ("crc", "length", "orphan", "foreign")}
         counters = asdict(self.counters)
-        counters["unknown"] += link["foreign"]
-        dropped = {cause: link[cause] for cause in ("crc", "length", "orphan", "foreign")}
-        return {
-            "frames": link["frames"],
-            "used": link["used"],
-            "dropped": dropped,
-            "pending": self.link.pending,
-            "packets": link["packets"],
-            "crc_errors": link["crc_errors"],
-            "length_errors": link["length_errors"],
-            **counters,
-        }
+        counters["unknown"] += dropped["foreign"]
+        return {**link, "dropped": dropped, "pending": self.link.pending, **counters}
 
     def _sensor_data(self, packet: Packet) -> list[Scan]:
         payload = packet.payload

@@ -145,7 +145,7 @@ def test_estimates_are_valid_only_where_the_hubs_have_the_modules_of_the_layout(
         touched = replace(pipeline.estimate, contacts=1, status=Status.AMBIGUOUS, p=0.5)
         why = pipeline.freshness.why(touched)
         assert why is (Why.VALID if valid else Why.MODULES_MISSING)
-        assert pipeline.health()["modules"]["match"] is valid
+        assert pipeline.freshness.is_whole is valid
     assert pipeline.health()["missing_modules"] == [6, 7, 8]
 
 

@@ -365,35 +365,6 @@ def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Pa
                 assert len(info["config_hash"]) == 16
 
 
-def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> None:
-    with zmq.Context() as context, subscribe(context, tmp_path, messages.HEALTH) as socket:
-        health = msgpack.unpackb(receive(daemon, socket)[1])
-    assert set(health) == {
-        "v",
-        "seq",
-        "t",
-        "uptime_s",
-        "loop",
-        "lat_us",
-        "realtime",
-        "source",
-        "skin",
-        "skin_fit",
-        "estimator",
-        "inputs",
-        "calibration",
-        "door",
-        "recording",
-        "modules",
-        "missing_modules",
-        "dead_taxels",
-        "stuck_taxels",
-        "saturated_taxels",
-        "untared_taxels",
-    }
-    assert health["source"]["frames"] == 0
-
-
 def ask(daemon: Daemon, socket: zmq.Socket[Any], body: bytes) -> dict[str, Any]:
     socket.send(body)
     deadline = time.monotonic() + 10.0

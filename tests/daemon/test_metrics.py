@@ -44,7 +44,7 @@ def test_health_becomes_a_file_of_metrics_that_goes_when_health_does(
     assert METRIC.sub("", text) == ""
     found = {m["name"]: (m["path"], m["type"], float(m["value"])) for m in METRIC.finditer(text)}
     assert len(found) == text.count("# HELP"), "each name is there once"
-    assert found["taxeld_loop_ticks_total"] == ("loop.ticks", "counter", 500.0)
+    assert found["taxeld_source_scans_total"] == ("source.scans", "counter", 99.0)
     assert found["taxeld_uptime_seconds"] == ("uptime_s", "gauge", 5.0)
     assert found["taxeld_lat_total_p50_seconds"] == ("lat_us.total.p50", "gauge", 613 * 1e-6)
     assert found["taxeld_realtime_locked"] == ("realtime.locked", "gauge", 1.0)

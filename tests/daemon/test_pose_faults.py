@@ -129,9 +129,9 @@ def test_status_has_how_the_poses_come_and_what_is_wrong() -> None:
         return dict(row.split(": ", maxsplit=1) for row in lines(answer))
 
     assert rows()["Samples       "] == "all"
-    assert rows()["Pose link     "] == "connected"  # as before the first health
+    assert rows()["Sensor poses  "] == "500 used"  # as before the first health
     answer["sensor_pose"] = {"endpoint": ENDPOINT, "topics": [], "fault": watch.fault}
-    assert rows()["Pose link     "] == f"connected to {ENDPOINT}"
+    assert rows()["Sensor poses  "] == f"500 used, from {ENDPOINT}"
     timing = "100 a second, the last 0.01 s ago, their time 4.2 s "
     assert rows()["Pose timing   "] == timing + "behind this clock"
     health["inputs"]["poses_offset_s"] *= -1.0

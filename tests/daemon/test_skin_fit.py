@@ -61,7 +61,6 @@ def test_gains_and_onsets_are_learned_and_readings_believed_more() -> None:
         taught.fit.teach(taught.lesson())
     assert taught.error < 0.3 * before
     assert (taught.fit.noise.gain_cv < noise.gain_cv).all()
-    assert taught.fit.told()["known"] == 1.0
 
 
 def test_a_lesson_that_foretells_the_next_one_worse_is_refused() -> None:
@@ -122,8 +121,8 @@ def test_a_skin_learns_while_it_works_unless_it_is_told_not_to() -> None:
     (run, _), (frozen, _) = lived(12, 5), lived(4, 5, learns=False)
     assert run.daemon is not None
     assert frozen.daemon is not None
-    assert run.daemon.pipeline.health()["skin_fit"]["lessons"] > 0
-    assert frozen.daemon.pipeline.health()["skin_fit"]["lessons"] == 0
+    assert run.daemon.pipeline.skin.fit.lessons > 0
+    assert frozen.daemon.pipeline.skin.fit.lessons == 0
 
 
 def test_touches_of_another_object_move_no_response_by_more_than_its_own_sd() -> None:

@@ -13,7 +13,7 @@ import zmq
 from taxeld.door.robot import as_pose
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.freshness import Why
-from taxeld.stream import client, messages
+from taxeld.stream import client, messages, values
 from tests.rig.configurations import configuration, served
 from tests.rig.recorded import LiveSkin
 
@@ -71,7 +71,7 @@ def test_each_message_has_the_documented_keys_and_types(
         assert message.keys() == example.keys(), "every key is always there"
     unseen = keys.keys() - sent.keys()
     assert sent == {key: kind for key, kind in keys.items() if key not in unseen}
-    assert all(key.endswith(("_taxels[]", "_modules[]", ".firmware.*")) for key in unseen), (
+    assert all(key.endswith(("_taxels[]", "_modules[]", ".bus.*")) for key in unseen), (
         "of a recording, and of a skin that is whole, they are empty"
     )
     assert leaves(example) == keys
@@ -87,6 +87,11 @@ def test_the_commands_answer_what_is_documented(heard: dict[str, list[dict[str, 
     assert heard["info"][0]["info"] == heard["/taxeld/info"][0]
     assert heard["status"][0]["estimate"].keys() == heard["/taxeld/estimate"][0].keys()
     assert heard["status"][0]["health"].keys() == heard["/taxeld/health"][0].keys()
+
+
+def test_the_table_of_health_is_the_documented_one() -> None:
+    rows = [line for line in section("/taxeld/health").splitlines() if line.startswith("| `")]
+    assert rows == values.TABLE
 
 
 @pytest.mark.parametrize("kind", [Status, ProposalKind, Why])

@@ -85,7 +85,7 @@ def test_a_daemon_whose_port_is_taken_runs_and_its_health_says_so(tmp_path: Path
     def is_told() -> bool:
         assert daemon.poll() is None, daemon.communicate()[1]
         answer = client.ask(f"ipc://{tmp_path}/control", "status") or {}
-        return bool(answer.get("health")) and "1 endpoint is not bound" in "".join(lines(answer))
+        return bool(answer.get("health")) and "door.unbound 1: the log" in "".join(lines(answer))
 
     with Sockets() as sockets:
         taken(sockets, endpoint)

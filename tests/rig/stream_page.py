@@ -5,6 +5,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from taxeld.stream.values import expanded
+
 ROOT = Path(__file__).parents[2]
 DOCUMENT = ROOT / "docs" / "stream.md"
 EXAMPLES = ROOT / "examples" / "clients" / "messages.json"
@@ -14,11 +16,11 @@ EACH = {"v": "int", "seq": "int", "t": "float"}  # keys of all topics of a scan,
 
 def leaves(value: object, path: str = "") -> Types:
     """Path of each number, text or truth value → its type; `[]` stands for each of a list, `*`
-    for each of a map whose keys are numbers, or names of objects."""
+    for each of a map whose keys are numbers, or names of objects or causes."""
     found: Types = {}
     if isinstance(value, dict):
         for key, item in value.items():
-            is_any = key.isdigit() or path.endswith(".objects")
+            is_any = key.isdigit() or path.endswith((".objects", ".dropped", ".bus"))
             found |= leaves(item, f"{path}.*" if is_any else f"{path}.{key}")
     elif isinstance(value, list):
         for item in value:
@@ -40,12 +42,3 @@ def documented(title: str) -> tuple[Types, dict[str, Any]]:
     keys = {key: kind for names, kind in named for name in names for key in expanded(name)}
     keys |= {} if title in ("/taxeld/info", "/robot/sensor_pose") else EACH
     return keys, json.loads(EXAMPLES.read_text(encoding="utf-8"))[title]
-
-
-def expanded(key: str) -> list[str]:
-    """`a.{b,c}` → `a.b` and `a.c`."""
-    head, brace, rest = key.partition("{")
-    if not brace:
-        return [key]
-    names, _, tail = rest.partition("}")
-    return [head + name + more for name in names.split(",") for more in expanded(tail)]

@@ -96,7 +96,7 @@ class Touched:
     def until_running(self) -> None:
         """Until scans come, whether they can be used or not."""
         deadline = time.monotonic() + PATIENCE_S
-        while not (status := self.status()) or status["health"]["loop"]["scans"] < IDLE_SCANS:
+        while not (status := self.status()) or status["health"]["source"]["scans"] < IDLE_SCANS:
             assert time.monotonic() < deadline, self.log
             assert self._loop.poll() is None, self.log
             time.sleep(0.1)
@@ -138,7 +138,7 @@ class Touched:
         deadline = time.monotonic() + (LAST_S if whole else 0.0)
         while time.monotonic() < deadline:
             self.last = self.health()
-            if self.last["loop"]["scans"] >= sent:
+            if self.last["source"]["scans"] >= sent:
                 break
             time.sleep(0.2)
         self._loop.terminate()

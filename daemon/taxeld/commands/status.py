@@ -9,6 +9,7 @@ from taxeld.pipeline.freshness import CURES, Why
 from taxeld.proposals.samples import Degraded
 from taxeld.skin.channels import mismatch
 from taxeld.source import bus_faults
+from taxeld.stream import values
 from taxeld.stream.messages import name_of, object_of, reason_of
 
 WIDTH = 14
@@ -20,9 +21,11 @@ def lines(answer: dict[str, Any]) -> Iterator[str]:
     rows = [*estimate_rows(answer["estimate"], answer.get("why", ""))]
     rows.append(("Samples", name_of(Degraded, answer["estimate"]["degraded"])))
     rows.append(("Age", f"{answer['estimate']['age_us'] / 1e3:.1f} ms since the scan"))
-    if answer.get("health"):
-        rows += _health_rows(answer["health"], answer.get("waits_for"))
-        rows += _input_rows(answer["health"], answer.get("sensor_pose", {}))
+    if health := answer.get("health"):
+        rows += _health_rows(health, answer.get("waits_for"))
+        rows.append(("Modules", _modules(answer)))
+        rows += _input_rows(health["inputs"], answer.get("sensor_pose", {}))
+        rows += (("Not 0", line) for line in values.amiss(health))
     for name, text in rows:
         yield f"{name:{WIDTH}s}: {text}"
 
@@ -58,53 +61,33 @@ def _certainty(e: dict[str, Any]) -> str:
 
 
 def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tuple[str, str]]:
-    loop, source = health["loop"], health["source"]
-    up_s = max(health["uptime_s"], 1e-9)
-    rates = f"{loop['ticks'] / up_s:.1f} ticks/s, {loop['scans'] / up_s:.1f} scans/s"
-    yield "Rate", f"{rates}, over {up_s:.0f} s"
-    own = f"{loop['own_overruns']} of the loop's own work"
-    yield "Ticks", f"{loop['ticks']}, {loop['overruns']} overruns, {own}"
+    """`waits_for` is None in an answer before the daemon's first health."""
+    scans, up_s = health["source"]["scans"], health["uptime_s"]
+    yield "Scans", f"{scans}, {scans / max(up_s, 1e-9):.1f} a second over {up_s:.0f} s"
     granted = health["realtime"]
     fifo = f"FIFO {granted['fifo']}" if granted["fifo"] else "not a FIFO thread"
     yield "Real time", f"{fifo}, memory {'locked' if granted['locked'] else 'not locked'}"
-    yield "Scans", f"{loop['scans']}, {source['incomplete']} incomplete"
-    dropped = ", ".join(f"{n} {cause}" for cause, n in source["dropped"].items() if n) or "none"
-    yield "Frames", f"{source['frames']}, dropped {dropped}"
-    yield "Device", _device(source, waits_for)
-    if told := bus_faults.counted(source.get("bus", {})):
+    yield "Device", f"waiting, {waits_for}" if waits_for else "works"
+    if told := bus_faults.counted(health["source"].get("bus", {})):
         yield "Bus", told
-    used = health.get("calibration")
-    if used:
-        yield "Calibration", _calibration(used)
-    if unbound := health.get("door", {}).get("unbound"):
-        yield "TCP", f"{unbound} endpoint{'s are' if unbound > 1 else ' is'} not bound; see the log"
+    days = health["calibration"]["age_s"] / 86_400.0
+    none = "none; full scale and mount are as configured"
+    yield "Calibration", none if days < 0.0 else f"{days:.1f} days old"
     for name, link in health.get("links", {}).items():
         yield f"Link {name}", _link(link)
     dead = health["dead_taxels"]
     yield "Dead taxels", f"{len(dead)} ({', '.join(map(str, dead))})" if dead else "none"
-    modules = health.get("modules")
-    if modules:
-        spoken = health["skin"]["scans"] > 0
-        yield "Modules", _modules(modules, health["missing_modules"]) if spoken else "no scan yet"
     p50, p99, top = (health["lat_us"]["total"][key] / 1e3 for key in ("p50", "p99", "max"))
     yield "Total time", f"median {p50:.2f} ms, 99 % {p99:.2f} ms, max {top:.2f} ms"
 
 
-def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _input_rows(inputs: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """`sensor_pose` is empty in an answer before the daemon's first health."""
-    inputs = health["inputs"]
-    stale = [name for name in ("scans", "poses") if inputs[f"{name}_stale"]]
-    yield "Stale inputs", ", ".join(stale) or "none"
-    unused = f"{inputs['poses_malformed']} malformed, {inputs['poses_rejected']} rejected"
-    unused += f", {inputs['poses_far']} too far, {inputs['poses_from_the_future']} from the future"
     endpoint = sensor_pose.get("endpoint")
     if endpoint == "":
         yield "Sensor poses", "sensor_pose.endpoint is empty: the sensor stands still"
         return
-    used = f"{inputs['poses']} used, {unused}"
-    yield "Sensor poses", f"{used}; {inputs['scans_without_pose']} scans without one"
-    link = "connected" if inputs["poses_connected"] else "not connected"
-    yield "Pose link", f"{link}{f' to {endpoint}' if endpoint else ''}"
+    yield "Sensor poses", f"{inputs['poses']} used{f', from {endpoint}' if endpoint else ''}"
     if inputs["poses_age_s"] >= 0.0:
         rate, age_s = inputs["poses_rate_hz"], inputs["poses_age_s"]
         offset_s = inputs["poses_offset_s"]
@@ -115,6 +98,15 @@ def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator
         yield "Pose fault", sensor_pose["fault"]
 
 
+def _modules(answer: dict[str, Any]) -> str:
+    modules, missing = answer["health"]["modules"], answer["health"]["missing_modules"]
+    if not answer["health"]["skin"]["scans"]:
+        return "no scan yet"
+    match = answer["estimate"]["why"] != Why.MODULES_MISSING
+    wrong = mismatch(missing, modules["layout"], modules["foreign"], match)
+    return wrong or f"{modules['layout']}, as in the layout"
+
+
 def _link(link: dict[str, Any]) -> str:
     dead = f"{len(link['dead_taxels'])} dead taxels"
     try:
@@ -122,21 +114,3 @@ def _link(link: dict[str, Any]) -> str:
     except ValueError:
         return f"is left out (by a newer daemon), {dead}"
     return f"{'works' if why is Why.VALID else f'is left out, {CURES[why]}'}, {dead}"
-
-
-def _modules(modules: dict[str, Any], missing: list[int]) -> str:
-    wrong = mismatch(missing, modules["layout"], modules["foreign"], modules["match"])
-    return wrong or f"{modules['layout']}, as in the layout"
-
-
-def _calibration(used: dict[str, Any]) -> str:
-    days = f"{used['age_s'] / 86_400.0:.1f} days old"
-    return days if used["used"] else "none; full scale and mount are as configured"
-
-
-def _device(source: dict[str, Any], waits_for: str | None) -> str:
-    """`waits_for` is None in an answer before the daemon's first health."""
-    in_vain = f"{source.get('unopened', 0)} attempts to open it failed"
-    if waits_for or source.get("waiting"):
-        return f"waiting, {waits_for or 'the log of the daemon says for what'}; {in_vain}"
-    return f"lost {source['lost']} times, {in_vain}, {source['unsent']} requests unsent"

@@ -76,7 +76,6 @@ class Estimator:
         self.history = History()
         self._news = [News(each.layout.radius_m, tally=self._tally) for each in links]
         self._before: list[Observation | None] = [None] * len(links)
-        self._moved = 0.0  # probability in the last estimate that the object has moved
         self._blind = False  # whether the last usable scan told nothing of where the object is
         # number of the last contact of which `taught` has told each link
         self._taught = [0] * len(links)
@@ -254,11 +253,9 @@ class Estimator:
         return expected and not bool(observation.live[pressed].any())
 
     def _estimate(self, t: float, injected: int = 0, log_evidence: float = 0.0) -> Estimate:
-        bank, before = self.bank, self._moved
+        bank = self.bank
         verdict, modes = bank.verdict, bank.modes()
         place, summary = verdict.place, verdict.place.summary
-        self._moved = verdict.hypotheses.moved
-        self.counters.forgotten += self._moved > 0.5 >= before
         return Estimate(
             t=t,
             status=status(verdict, self._tally.contacts, blind=self._blind),

@@ -33,7 +33,6 @@ class EstimatorCounters:
     thoughts: int = 0  # second opinions that changed the belief
     jumps: int = 0  # scans whose sensor pose is too far from the last, not used
     stuck: int = 0  # scans in which a taxel read the same as ever, and was left out
-    forgotten: int = 0  # times that the past counted no more: the object had moved
 
 
 class Rule(Protocol):

@@ -34,7 +34,7 @@ class Why(IntEnum):
 
 CURES = {  # the reason and its cure, in the width of a terminal (docs/stream.md)
     Why.VALID: "",
-    Why.NO_SCAN: "no scan comes from the skin: see Device, Bus and Frames",
+    Why.NO_SCAN: "no scan comes from the skin: see Device and Bus",
     Why.STARTING: "the idle baseline is being learned: leave the skin untouched",
     Why.SCANS_MISTIMED: "scans come too late, or from the future: see to load and clock",
     Why.NO_POSE: "no sensor pose near the time of a scan: see Sensor poses",

@@ -6,7 +6,7 @@ by the samples' clock, if they have one.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -201,16 +201,7 @@ class Pipeline:
     def health(self) -> dict[str, Any]:
         """Counters of the estimator, and of the first link's skin, since start."""
         counted = EstimatorCounters() if self._estimator is None else self._estimator.counters
-        return {
-            "estimator": {
-                "scans": counted.scans,
-                "updates": counted.updates,
-                "stuck": counted.stuck,
-                "jumps": counted.jumps,
-                "forgotten": counted.forgotten,
-            },
-            **self.stages[0].health(),
-        }
+        return {"estimator": asdict(counted), **self.stages[0].health()}
 
     def skin_state(self, link: int = 0) -> SkinState | None:
         """What the skin of a link has learned, in Unix time; None before there is anything."""

@@ -47,7 +47,6 @@ class PoseTrack:
         self.taken = 0
         self.rejected = 0  # not finite, not later than the one before, far, or in the future
         self.far = 0  # beyond FAR_M
-        self.from_the_future = 0
         self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last time
         self._t: deque[float] = deque(maxlen=KEPT)
         self._pose: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
@@ -79,7 +78,6 @@ class PoseTrack:
         if not all(map(math.isfinite, (t, x, y, theta))):
             return False
         if t > now + FUTURE_S:  # it would keep out all poses before its time
-            self.from_the_future += 1
             return False
         if max(abs(x), abs(y)) > FAR_M:
             self.far += 1
@@ -182,7 +180,7 @@ class StandingStill:
     """A sensor without a robot: always at the origin."""
 
     mount = None
-    taken = rejected = far = from_the_future = 0
+    taken = rejected = far = 0
     latest_t = np.inf
 
     def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:

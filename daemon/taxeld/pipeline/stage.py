@@ -90,19 +90,16 @@ class LinkStage:
             "scans_waiting": len(self.waiting),
             "poses": self.poses.taken,
             "poses_rejected": self.poses.rejected,
-            "poses_far": self.poses.far,
-            "poses_from_the_future": self.poses.from_the_future,
         }
 
     def health(self) -> dict[str, Any]:
         """Counters of the skin since start, and the taxels that cannot be believed."""
         return {
-            "skin": {**asdict(self.skin.counters), "lowered": self.skin.lowered},
-            "modules": {
-                "layout": self.skin.modules,
-                "foreign": len(self.skin.wiring.foreign),
-                "match": self.fresh.is_whole,
+            "skin": {
+                **asdict(self.skin.counters),
+                "lowered": self.skin.lowered,
+                "gain": self.skin.fit.gain,
             },
-            "skin_fit": self.skin.fit.told(),
+            "modules": {"layout": self.skin.modules, "foreign": len(self.skin.wiring.foreign)},
             **self.skin.faults(),
         }

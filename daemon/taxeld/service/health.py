@@ -1,11 +1,11 @@
 """What a running daemon says of itself once a second, `/taxeld/health`: from all its parts.
 
-Each value has a cure in docs/stream.md, or a user in this repository.
+The table in `stream/values.md` chooses what is published of all that is counted.
 """
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from taxeld.pipeline.poses import AGE_S
 from taxeld.skin.calibration import DAY_S
 from taxeld.stream import messages
 
@@ -21,33 +21,21 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
     calibration = pipeline.stages[0].calibration
     parts = {
         "uptime_s": now_s - daemon.start_s,
-        "loop": daemon.counters,
+        "loop": asdict(daemon.counters),
         "lat_us": {"total": daemon.publisher.latencies.percentiles()},
-        "realtime": daemon.realtime,
+        "realtime": asdict(daemon.realtime),
         "source": {
             **source.wire.stats(),
-            **({"refused": report.array.malformed} if source.comes_by_door else {}),
-            "lost": source.counters.lost,
-            "unopened": source.counters.unopened,
-            "unsent": source.counters.unsent,
-            "waiting": bool(source.waits_for),
-            "bus": source.bus.counts,
-            "firmware": dict(source.firmware),
+            **({"malformed": report.array.malformed} if source.comes_by_door else {}),
+            **asdict(source.counters),
+            "bus": {fault: n for fault, n in source.bus.counts.items() if n},
         },
         "inputs": {
             **pipeline.stages[0].counts(),
-            "scans_stale": pipeline.freshness.is_silent(now_s),
-            "poses_stale": t - pipeline.poses.latest_t > AGE_S,
+            **{f"poses_{name}": value for name, value in asdict(poses).items()},
             "poses_malformed": report.robot.malformed,
-            "poses_connected": poses.connected,
-            "poses_rate_hz": poses.rate_hz,
-            "poses_age_s": poses.age_s,
-            "poses_offset_s": poses.offset_s,
         },
-        "calibration": {
-            "used": calibration is not None,
-            "age_s": 0.0 if calibration is None else calibration.age_days(t) * DAY_S,
-        },
+        "calibration": {"age_s": calibration.age_days(t) * DAY_S if calibration else -1.0},
         "door": {
             "starts": daemon.door.starts,
             "unsent": daemon.link.unsent,
@@ -57,24 +45,23 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
         },
         "recording": {
             "dropped": written.dropped if written else 0,
-            "failed": written is not None and written.failed,
+            "failed": bool(written and written.failed),
         },
         **pipeline.health(),
     }
     if len(daemon.layouts) > 1:
         names = enumerate(daemon.config.names)
-        parts["links"] = {name: _link(daemon, k, now_s, t) for k, name in names}
+        parts["links"] = {name: _link(daemon, k, now_s) for k, name in names}
     return messages.health(seq, t, parts)
 
 
-def _link(daemon: "Daemon", number: int, now_s: float, t: float) -> dict[str, Any]:
+def _link(daemon: "Daemon", number: int, now_s: float) -> dict[str, Any]:
     """What one of several links adds: why its scans are of no use, its source, and its skin."""
     stage = daemon.pipeline.stages[number]
     source = next(bus.source for bus in daemon.inputs.buses if number in bus.links)
     return {
         "why": int(daemon.pipeline.freshness.of_links(now_s)[number]),
-        "waiting": bool(source.waits_for),
-        "lost": source.counters.lost,
-        "inputs": {**stage.counts(), "poses_stale": t - stage.poses.latest_t > AGE_S},
+        "source": asdict(source.counters),
+        "inputs": stage.counts(),
         **stage.health(),
     }

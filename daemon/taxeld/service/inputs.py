@@ -75,11 +75,6 @@ class Inputs:
         )
 
     @property
-    def scans(self) -> int:
-        """How many have come since the start."""
-        return sum(bus.scans for bus in self.buses)
-
-    @property
     def openings(self) -> int:
         """How often a device was opened again, or was tried to be."""
         return sum(each.counters.unopened + each.counters.reopened for each in self.sources)

@@ -141,7 +141,6 @@ class Daemon:
         """One pass: inputs, pipeline, outputs. `now_s` is monotonic; `ready` names the inputs that
         may have arrivals. Without any there is time for a second opinion."""
         start, cpu = time.perf_counter_ns(), time.thread_time_ns()
-        self.counters.ticks += 1
         wall_s, stepped = self.clock.read()
         if stepped:
             self.pipeline.clock_stepped(stepped)
@@ -149,7 +148,6 @@ class Daemon:
         if self.inputs.come_by_door:
             self._look_at_door(now_s, asked=ready.door)
         scans = self.inputs.poll(now_s)
-        self.counters.scans = self.inputs.scans
         has_scans = any(scans)
         came = (ready.door or has_scans) and not self.inputs.come_by_door  # else it has looked
         self._look_at_door(now_s, asked=came or self.pipeline.has_waiting)

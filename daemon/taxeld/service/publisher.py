@@ -30,10 +30,8 @@ MEMORY_S = 1.0  # time between two handings-over of what was felt, at least
 class LoopCounters:
     """Counters of the loop, since start."""
 
-    ticks: int = 0  # passes of the loop
     overruns: int = 0  # periods that passed while the loop worked, or while the machine held it up
     own_overruns: int = 0  # passes whose own CPU time was longer than a period
-    scans: int = 0
 
 
 class Publisher:

@@ -108,17 +108,12 @@ class SkinFit:
         """Go on from `values` of before a restart."""
         self.fit, self._trial = TaxelFit(values[:3].copy(), _diagonal(values[3:])), None
 
-    def told(self) -> dict[str, float]:
-        """Its part of health."""
-        gain, _, length, gain_sd, *_ = self.values
+    @property
+    def gain(self) -> float:
+        """The median of the learned gains; 1 without any."""
+        gain, _, _, gain_sd, *_ = self.values
         known = gain_sd < KNOWN * np.sqrt(self._usual[0])
-        return {
-            "lessons": self.lessons,
-            "refused": self.refused,
-            "known": float(known.mean()),
-            "gain": float(np.median(gain[known])) if known.any() else 1.0,
-            "sag_m": float(np.exp(np.median(length[known]))) if known.any() else sag.LENGTH_M,
-        }
+        return float(np.median(gain[known])) if known.any() else 1.0
 
     @property
     def noise(self) -> Noise:

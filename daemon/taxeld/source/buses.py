@@ -21,7 +21,6 @@ class Bus:
         """`links`: their numbers, `layouts` in the same order."""
         self.source = source
         self.links = tuple(links)
-        self.scans = 0  # since start
         self._uids = [set(layout.uid.tolist()) for layout in layouts]
         self._of: dict[int, tuple[int, tuple[int, ...]]] = {}  # hub → table's version, links
 
@@ -40,7 +39,6 @@ class Bus:
 
     def sort(self, scans: Sequence[Scan], into: Sequence[list[Scan]]) -> None:
         """Add scans to those `into` a list for each link of the configuration."""
-        self.scans += len(scans)
         for scan in scans:
             for link in self.links_of(scan):
                 into[link].append(scan)

@@ -5,7 +5,6 @@ booleans, lists and maps.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
 from enum import IntEnum
 from types import MappingProxyType
 from typing import Any
@@ -20,6 +19,7 @@ from taxeld.model.scene import Scene
 from taxeld.pipeline.freshness import CURES, Why
 from taxeld.proposals.samples import Degraded
 from taxeld.skin.patches import Patches, in_world
+from taxeld.stream import values
 from taxeld.stream.topics import (
     CONTACTS,
     COUNTS,
@@ -167,10 +167,9 @@ def counts(t: float, counts: Floats, seq: int, link: int = 0) -> dict[str, Any]:
     }
 
 
-def health(seq: int, t: float, parts: dict[str, Any]) -> dict[str, Any]:
-    """`/taxeld/health`: counters and dataclasses of counters, by part."""
-    plain = {k: _plain(v) for k, v in parts.items()}
-    return {"v": VERSION, "seq": seq, "t": t, **plain}
+def health(seq: int, t: float, counted: dict[str, Any]) -> dict[str, Any]:
+    """`/taxeld/health`: what the table of values has of all that is counted, by part."""
+    return {"v": VERSION, "seq": seq, "t": t, **values.published(counted)}
 
 
 def info(
@@ -235,13 +234,6 @@ def name_of(kind: type[IntEnum], number: int) -> str:
 def reason_of(number: int) -> str:
     """Why an estimate is not valid, and the cure, by the number in its map."""
     return {int(why): cure for why, cure in CURES.items()}.get(number, name_of(Why, number))
-
-
-def _plain(part: Any) -> Any:
-    """A dataclass as a map; as `dataclasses.asdict`, without copying what is plain already."""
-    if not is_dataclass(part):
-        return part
-    return {f.name: _plain(getattr(part, f.name)) for f in fields(part)}
 
 
 def _vector(v: Floats) -> dict[str, float]:

@@ -78,19 +78,13 @@ def _added(one: dict[str, Any], two: dict[str, Any]) -> dict[str, Any]:
 
 def _frames(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
     fates = ledger.fates
-    dropped = [value(health, f"source.dropped.{name}") for name in DROPPED]
-    fate_of_frames = sum(dropped) + value(health, "source.used") + value(health, "source.pending")
     return [
         Law("frames", fates.units, value(health, "source.frames")),
-        Law("frames used, dropped or pending", value(health, "source.frames"), fate_of_frames),
-        Law("foreign frames", fates.foreign, dropped[3]),
-        Law("frames without a first", fates.orphan, dropped[2]),
+        Law("foreign frames", fates.foreign, value(health, "source.dropped.foreign")),
+        Law("frames without a first", fates.orphan, value(health, "source.dropped.orphan")),
         Law("packets of wrong length", fates.length_errors, value(health, "source.length_errors")),
         Law("packets of wrong checksum", fates.crc_errors, value(health, "source.crc_errors")),
     ]
-
-
-DROPPED = ("crc", "length", "orphan", "foreign")
 
 
 def _line(ledger: Ledger, health: dict[str, Any]) -> list[Law]:

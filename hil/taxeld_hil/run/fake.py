@@ -82,7 +82,6 @@ class FakeDaemon:
         """The part of /taxeld/health that the harness reads."""
         parts: dict[str, Any] = {
             "uptime_s": t - self._start_s,
-            "loop": {"scans": sum(bus.scans for bus in self.buses)},
             "source": self.source.wire.stats(),
             "inputs": {**self.pipeline.stages[0].counts(), "poses_malformed": 0},
             **self.pipeline.health(),
