@@ -13,11 +13,12 @@ import msgpack
 import pytest
 import zmq
 
+from tests.rig.clocks import PATIENCE_S
 from tests.system.touched import Touched, touched
 
 pytestmark = pytest.mark.check
 
-DISK_KB = 60
+DISK_KB = 2000
 LOSSES = 2
 NEAR = 1e-6  # a recording keeps the microseconds of a scan's time, and no less
 
@@ -102,37 +103,58 @@ def test_a_device_that_goes_each_second_is_opened_again(tmp_path: Path) -> None:
     assert check_replayed(subscriber, replayed) > 10
 
 
-@contextlib.contextmanager
-def small_disk(place: Path) -> Iterator[bool]:
-    """Whether `place` is on a disk of its own; only root may have one."""
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of its own; only root may have one."""
+    place = tmp_path / "disk"
     place.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_KB}k", "tmpfs", str(place)]
     can = os.geteuid() == 0 and shutil.which("mount")
     if not can or subprocess.run(mount, capture_output=True, check=False).returncode:
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        subprocess.run(["umount", "-l", str(place)], check=True)
+        pytest.skip("no disk of its own")
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)
 
 
-def test_a_disk_that_is_full_ends_the_recording_alone(tmp_path: Path) -> None:
-    with small_disk(tmp_path / "disk") as is_small:
-        limit = "" if is_small else "ulimit -f 128"  # blocks of 512 or 1024 bytes
-        session = tmp_path / "disk" / "session"
-        with (
-            touched(tmp_path, before=limit, session=session) as daemon,
-            heard(daemon) as subscriber,
-        ):
-            daemon.until_touched()
-            while not (status := daemon.status()) or not status["health"]["recording"]["failed"]:
-                subscriber.listen(0.5)
-            subscriber.listen(1.0)
-            status = daemon.status()
-            replayed = daemon.replay()
-            sent = daemon.stop()
+def until_logged(daemon: Touched, subscriber: Heard, line: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while line not in daemon.log:
+        assert time.monotonic() < deadline, daemon.log
+        subscriber.listen(0.2)
+
+
+def test_while_the_disk_is_full_the_recording_alone_waits(tmp_path: Path, small_disk: Path) -> None:
+    filling = small_disk / "filling"
+    with (
+        touched(tmp_path, session=small_disk / "session") as daemon,
+        heard(daemon) as subscriber,
+    ):
+        daemon.until_touched()
+        subprocess.run(["dd", "if=/dev/zero", f"of={filling}"], capture_output=True, check=False)
+        until_logged(daemon, subscriber, "the recording waits")
+        before = len(subscriber.estimates)
+        subscriber.listen(1.0)
+        assert len(subscriber.estimates) > before
+        filling.unlink()
+        until_logged(daemon, subscriber, "the recording goes on")
+        sent = daemon.stop()
+        replayed = daemon.replay()
+    assert len(replayed) == sent
+    assert check_replayed(subscriber, replayed) > 10
+
+
+def test_a_file_that_may_grow_no_more_ends_the_recording_alone(tmp_path: Path) -> None:
+    with (
+        touched(tmp_path, before="ulimit -f 64") as daemon,  # blocks of 512 or 1024 bytes
+        heard(daemon) as subscriber,
+    ):
+        daemon.until_touched()
+        until_logged(daemon, subscriber, "the recording has ended")
+        subscriber.listen(1.0)
+        status, replayed = daemon.status(), daemon.replay()
+        sent = daemon.stop()
     assert status is not None
+    assert status["health"]["recording"]["failed"]
     assert status["estimate"]["t"] > replayed[-1]["t"] + 0.5
     assert 20 < len(replayed) < sent
     assert check_replayed(subscriber, replayed[:-1]) > 0
