@@ -29,7 +29,7 @@ from taxeld.model.symmetry import Mode, PoseMetric
 Number = TypeVar("Number", np.intp, np.float64)
 
 LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
-SCANS = ("_sensor", "_own", "link", "number", "pressed", "anything", "_untouched")  # (K, …)
+SCANS = ("_sensor", "_place_m2", "link", "number", "pressed", "anything", "_untouched")  # (K, …)
 FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
 
 
@@ -113,7 +113,7 @@ class Memory:
         self.prior = prior
         self.term: PriorTerm | None = None  # a prior that was given
         self._sensor = np.empty((0, 3))
-        self._own = np.empty(0)  # (K,) variance of each sensor's place by itself [m²]
+        self._place_m2 = np.empty(0)  # (K,) variance of each scan's own place [m²]
         taxels = max(len(each.layout) for each in self._links)
         self._kept: Grid = np.empty((len(Kept), 0, taxels), np.float32)
         self.link = np.empty(0, dtype=np.intp)  # (K,)
@@ -208,7 +208,7 @@ class Memory:
         made._kept = np.concatenate([self._kept, kept[:, None]], axis=1)
         made.link = _and(self.link, observation.link)
         made._sensor = np.concatenate([self._sensor, observation.sensor[None]])
-        made._own = _and(self._own, observation.place_sd_m**2)
+        made._place_m2 = _and(self._place_m2, observation.place_sd_m**2)
         made.number = _and(self.number, number)
         made.newest = max(self.newest, number)
         made.pressed = _and(self.pressed, told.pressed)
@@ -232,7 +232,7 @@ class Memory:
         own = self._kept[:, k, : len(self._links[link].layout)]
         z, level, residue, live = own[[Kept.Z, Kept.LEVEL, Kept.RESIDUE, Kept.LIVE]]
         floor = np.where(z > 0.0, 0.0, level)  # pressed taxels need no floor
-        z, sd_m = z.astype(np.float64), float(np.sqrt(self._own[k]))
+        z, sd_m = z.astype(np.float64), float(np.sqrt(self._place_m2[k]))
         return Observation(self._sensor[k], z, live > 0.0, floor, residue, None, link, sd_m)
 
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
@@ -270,7 +270,7 @@ class Memory:
     @property
     def variance(self) -> Floats:
         """(K,) variance of each scan's offset [m²]."""
-        return self.slack.variance(self.newest - self.number) + self._own
+        return self.slack.variance(self.newest - self.number) + self._place_m2
 
     def of_scans(self, explained: Floats) -> Floats:
         """Columns of the scans alone: (…, terms) as from `explain` → (…, K)."""

@@ -113,17 +113,16 @@ class PoseTrack:
 
     def sd_m(self, t: float, late_s: float = 0.0) -> float:
         """Standard deviation of the skin's place at a time t of which `at` has a pose, beside the
-        robot's own: the way it goes at its greatest speed about then in the time to the nearest
-        pose, and in what t is off where it may be too late by anything up to `late_s`."""
+        robot's own: its greatest speed about then, times the time to the nearest pose and the
+        error of t, which is too late by anything up to `late_s`."""
         i = bisect_right(self._t, t)
         if not i:
             return 0.0
         newest = i if self._is_between(i) else i - 1
         age_s = min(abs(t - self._t[k]) for k in (i - 1, newest))
         first = max(min(bisect_right(self._t, t - late_s), newest) - 1, 0)
-        return max(islice(self._speed, first, newest + 1)) * math.hypot(
-            age_s, late_s / math.sqrt(3.0)
-        )
+        speed = max(islice(self._speed, first, newest + 1))
+        return speed * math.hypot(age_s, late_s / math.sqrt(3.0))
 
     def _came(self, t: float) -> Poses | None:
         """The pose (3,) at time t of the frame that the robot sends."""
