@@ -59,7 +59,8 @@ class Rig:
         if not self._channel.keys() >= set(self._taxel_uids):
             raise SetupError(
                 f"transport: {scenario.transport} is of modules with taxels 1..{NAMES - 1}, and "
-                f"{self.model.layout.name} has other UIDs: it is of an array; leave --transport out"
+                f"{self.model.layout.name} has other UIDs: without --transport or --can it comes "
+                "as an array"
             )
         self.world = make_world(scenario, self.model, self.modules, seed + self._own_seeds)
         if link:
