@@ -194,7 +194,7 @@ def test_what_misleads_a_late_flag_and_a_slow_recovery_are_found() -> None:
 
 def test_valid_estimates_that_are_sure_and_beyond_their_radius_mislead() -> None:
     sure, doubted, stale = Status.CONVERGED, Status.AMBIGUOUS, Status.STALE
-    said = [(sure, 0.004), (sure, 0.006), (doubted, 0.006), (stale, 0.006), (sure, 0.005)]
+    said = [(sure, 0.004), (sure, 0.006), (doubted, 0.006), (stale, 0.006), (sure, 0.004)]
     judge = judged(
         Fault("unplugged", 1.0),
         [(0.1 * k, status, off_m) for k, (status, off_m) in enumerate(said)],

@@ -16,22 +16,20 @@ from taxeld_hil.run.contact_table import ContactTable
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 
-from .rig import MODEL, PLACED
+from .rig import MODEL, PLACED, passing
 
 WHICH, RATE_HZ = scenario.load("which"), 40.0
 
 
 @pytest.mark.parametrize("thing", WHICH.bundles)
 def test_each_of_three_objects_is_told_from_the_others(thing: str) -> None:
-    run = FakeRun(replace(WHICH.touching(thing), contacts=12), seed=1, rate_hz=RATE_HZ)
-    found = run.graded("which")
-    assert found.passed, [check for check in found.checks if check.passed is False]
+    run = passing(replace(WHICH.touching(thing), contacts=12))
     assert run.judge.last is not None
     assert WHICH.bundles[run.judge.last.object] == thing
 
 
 def test_a_session_replays_to_the_object_that_was_found(tmp_path: Path) -> None:
-    assert FakeRun(WHICH, seed=1, rate_hz=RATE_HZ).graded("which", tmp_path).passed
+    passing(WHICH, tmp_path)
     replay = Replay(tmp_path)
     *_, last = replay
     estimate = last.estimate

@@ -22,6 +22,8 @@ from taxeld_training.filters.pushing import (
 
 from .rig import gap_m
 
+TRIALS = 10
+
 
 class Calm(np.random.Generator):
     """Draws zeros."""
@@ -51,7 +53,8 @@ def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> floa
 
 
 def test_the_object_gives_way_until_friction_holds_it(ring_model: ObservationModel) -> None:
-    scans = [scan for scan in PushedTrial(ring_model, 0) if scan.touch == TOUCHES]
+    trials = [PushedTrial(ring_model, seed) for seed in range(TRIALS)]
+    scans = [scan for trial in trials for scan in trial if scan.touch == TOUCHES]
     depths = [depth(ring_model, scan.truth, scan.sensor) for scan in scans]
     assert max(depths) < DEPTH_M + 3e-4
     assert np.mean(np.array(depths) > DEPTH_M - 3e-4) > 0.5
@@ -60,13 +63,16 @@ def test_the_object_gives_way_until_friction_holds_it(ring_model: ObservationMod
 def test_the_object_stands_until_it_is_pushed_and_moves_no_farther_than_the_sensor(
     ring_model: ObservationModel,
 ) -> None:
-    scans = list(PushedTrial(ring_model, 0))
-    start = scans[0].truth
-    for before, after in pairwise(scans):
-        if depth(ring_model, before.truth, after.sensor) < DEPTH_M:
-            assert np.array_equal(before.truth, after.truth)
-    gap = se2.compose(se2.inverse(start), scans[-1].truth)
-    assert 0.1 < np.hypot(gap[0], gap[1]) < STEP_M * len(scans)
+    ways_m = []
+    for seed in range(TRIALS):
+        scans = list(PushedTrial(ring_model, seed))
+        for before, after in pairwise(scans):
+            if depth(ring_model, before.truth, after.sensor) < DEPTH_M:
+                assert np.array_equal(before.truth, after.truth)
+        gap = se2.compose(se2.inverse(scans[0].truth), scans[-1].truth)
+        ways_m.append(np.hypot(gap[0], gap[1]))
+        assert ways_m[-1] < STEP_M * len(scans)
+    assert max(ways_m) > 0.1
 
 
 def test_a_push_through_the_centre_does_not_turn_the_object(ring_model: ObservationModel) -> None:
