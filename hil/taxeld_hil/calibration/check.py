@@ -38,7 +38,7 @@ CERTAIN_NATS = 22.0  # a rough skin imitates a wrong mount by up to 20
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class CalibrationCheck:
     """The two fits of one session."""
 
     touches: int
@@ -65,7 +65,7 @@ class Check:
         yield "full scale or mount is wrong: calibrate again" if self.is_wrong else "both hold"
 
 
-def of_session(directory: Path, config: Config) -> Check:
+def of_session(directory: Path, config: Config) -> CalibrationCheck:
     """Replay a session and check its first link's values.
 
     Raises:
@@ -105,14 +105,16 @@ class _Fits:
             np.array([getattr(one, n) * ones for one in touches]) for n in ("floor", "residue")
         )
 
-    def check(self) -> Check:
+    def check(self) -> CalibrationCheck:
         tried = [least_squares(self._residuals, x, loss="soft_l1").x for x in STARTS]
         free = min(tried, key=lambda x: self._nats(x).sum())
         own = least_squares(
             lambda q: self._residuals(np.r_[np.zeros(4), q]), np.zeros(3), loss="soft_l1"
         ).x
         gained = self._nats(np.r_[np.zeros(4), own]) - self._nats(free)
-        return Check(len(self._z), float(np.exp(free[0])), free[1:4], gained.sum() - gained.max())
+        return CalibrationCheck(
+            len(self._z), float(np.exp(free[0])), free[1:4], gained.sum() - gained.max()
+        )
 
     def _expected(self, x: Floats) -> Floats:
         """Readings (K, M)."""
