@@ -1,5 +1,6 @@
 """Whether the touches of a session agree with its full scale and mount."""
 
+import contextlib
 from pathlib import Path
 
 import pytest
@@ -37,11 +38,12 @@ def test_most_skins_of_a_wrong_full_scale_are_named(sessions: list[Path]) -> Non
         text = (session / "config.toml").read_text(encoding="utf-8")
         other = session / "other.toml"
         other.write_text(text.replace("counts = 20000.0", "counts = 50000.0"), encoding="utf-8")
-        wrong += check.of_session(session, load(other)).is_wrong
+        with contextlib.suppress(SetupError):  # it may leave no pose to judge by
+            wrong += check.of_session(session, load(other)).is_wrong
     assert wrong > SEEDS / 2
 
 
 def test_few_touches_are_refused_with_what_is_needed() -> None:
-    recorded = Path(__file__).parents[1] / "daemon" / "session"
+    recorded = Path(__file__).parent / "session"
     with pytest.raises(SetupError, match="the check needs 5 and p 30%"):
         check.of_session(recorded, load(recorded / "config.toml"))
