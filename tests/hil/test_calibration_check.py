@@ -44,6 +44,6 @@ def test_most_skins_of_a_wrong_full_scale_are_named(sessions: list[Path]) -> Non
 
 
 def test_few_touches_are_refused_with_what_is_needed() -> None:
-    recorded = Path(__file__).parent / "session"
+    recorded = Path(__file__).parents[1] / "daemon" / "session"
     with pytest.raises(SetupError, match="the check needs 5 and p 30%"):
         check.of_session(recorded, load(recorded / "config.toml"))
