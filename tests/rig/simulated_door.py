@@ -51,7 +51,7 @@ class SimulatedDoor:
         self._listen()
 
     def _speak(self, poses: list[Any]) -> None:
-        world, rng = self._world, self._world.rng
+        world = self._world
         if not self._is_ready:
             self._is_ready = True
             if world.on("door refuses"):
@@ -68,8 +68,6 @@ class SimulatedDoor:
         if world.now >= self._next_report_s:
             self._next_report_s = world.now + 1.0
             self._say(Kind.REPORT, asdict(Report()))
-        if world.on("door nonsense"):
-            self._end.send(rng.bytes(int(rng.integers(4, 4200))))
         for _ in range(400 * world.on("door floods")):
             self._say(Kind.POSES, 0, [])
 

@@ -20,7 +20,7 @@ from tests.rig.fake_threads import Threads
 STEP_S, WORK_S = 0.005, 0.00002  # of the world, and of a pass of the loop at least
 CALM_S, NO_DOOR_S = 3.0, 6.5  # after the last fault, and after one of a door's start
 UNIX_S = 1_700_000_000.0
-DOOR = ("door killed", "door hangs", "door slow", "door nonsense", "door floods")
+DOOR = ("door killed", "door hangs", "door slow", "door floods")
 NO_DOOR = ("door refuses", "door unstartable", "no descriptor for the pair")
 DISK = ("disk full", "disk error", "disk slow")
 SKIN = ("unplugged", "reboot", "dropped", "corrupted", "duplicated", "late")

@@ -52,7 +52,7 @@ from tests.rig.simulated_world import (
 )
 
 REST_S = 0.2  # at the end, for what is on its way
-LOSES_NO_POSE = {"door slow", "door nonsense", *DISK}
+LOSES_NO_POSE = {"door slow", *DISK}
 NOT_IN_A_RECORDING = {"clock", "reset", "tare", "pose_late"}
 # poses are recorded with the time of their measurement, not of their arrival: which of two came
 # first, a scan's patience or the next pose, is not known where poses fail for a while
