@@ -48,7 +48,7 @@ def assert_right(found: Calibration, skin: PressedSkin) -> None:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[PressedSkin, Path]:
-    skin = PressedSkin.drawn(MODEL, 11)
+    skin = replace(PressedSkin.drawn(MODEL, 11), mount=np.array([0.004, -0.003, 0.05]))
     place = tmp_path_factory.mktemp("calibrate") / "session"
     write_session(place, skin, idle_s=25.0, frozen=(13,))
     return skin, place

@@ -82,7 +82,7 @@ def test_noise_that_is_written_is_what_readings_keep() -> None:
     presses = skin.presses()
     noise = np.full(len(SKIN), skin.noise)
     _, quiet = best_fit(MODEL, presses, noise, GIVEN)
-    rough = 0.06 * skin.full_scale * np.random.default_rng(2).standard_normal(presses.counts.shape)
+    rough = 0.045 * skin.full_scale * np.random.default_rng(2).standard_normal(presses.counts.shape)
     pressed = presses.counts > 0.1 * skin.full_scale
     worse = replace(presses, counts=presses.counts + np.where(pressed, rough, 0.0))
     _, loud = best_fit(MODEL, worse, noise, GIVEN)
