@@ -110,7 +110,7 @@ def lived(laps: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[F
             run.lap(asked, seed + lap)
         run.run()
         assert run.daemon is not None
-        if not of and run.daemon.pipeline.health()["skin_fit"]["lessons"]:
+        if not of and run.daemon.pipeline.skin.fit.lessons:
             break
     run.daemon.pipeline.reset()
     return run, SkinFit(len(run.skin), NOISE).values[3:]
