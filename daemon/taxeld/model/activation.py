@@ -15,5 +15,5 @@ class Activation:
     live: Bools  # (M,) whether the taxel has answered and can be believed
     floor: Floats | float = FLOOR  # (M,) readings below it are 0: noise, and foam's remains
     residue: Floats | float = 0.0  # (M,) part of a reading that earlier presses may have left
-    place_sd_m: float = 0.0  # of the sensor's place at t, beside what every place is off
     noise: Noise | None = None  # errors of each taxel, where they are known
+    place_sd_m: float = 0.0  # of the sensor's place at t, beside what every place is off

@@ -317,8 +317,7 @@ class Skin:
         residue.on_scan(np.where(live, over, 0.0), self.threshold)
         if residue.is_none:
             self.touched = False
-            marks, nothing = self._unmarked(), np.zeros(len(live))
-            return Activation(self._t, nothing, live, *marks, noise=self.noise)
+            return Activation(self._t, np.zeros(len(live)), live, *self._unmarked(), self.noise)
         pressed = live & residue.pressed
         self.touched = bool(pressed.any())
         if not residue.level.any():  # the first press for a long time
@@ -329,7 +328,7 @@ class Skin:
             left = scale.activation(residue.level)
             marks = Marks(scale.activation(self.threshold + residue.level), left)
         z = np.where(pressed, scale.activation(over), 0.0)
-        return Activation(self._t, z, live, *marks, noise=self.noise)
+        return Activation(self._t, z, live, *marks, self.noise)
 
     def _unmarked(self) -> Marks:
         """Marks where presses have left nothing."""
