@@ -26,7 +26,7 @@ def test_a_pose_is_recovered_from_its_coordinates(
 ) -> None:
     frame = ContactFrame(ring_model) if kind is ContactFrame else PoseFrame()
     back = poses(frame.decode(frame.features(frame.encode(touches.pose))))
-    assert worst_mm(back, touches.pose) < 0.3
+    assert worst_mm(back, touches.pose) < 0.5
     assert np.abs(np.sin(back[:, 2] - touches.pose[:, 2])).max() < 0.02
 
 
@@ -38,7 +38,7 @@ def test_turning_coordinates_turns_the_pose(
     angle = torch.linspace(-3.0, 3.0, 500)
     turned = frame.turned(frame.encode(touches.pose[:500]), angle)
     back = poses(rotated(frame.decode(frame.features(turned)), angle))
-    assert worst_mm(back, touches.pose[:500]) < 0.3
+    assert worst_mm(back, touches.pose[:500]) < 0.5
 
 
 def test_a_pose_presses_as_deep_as_its_depth_coordinate(ring_model: ObservationModel) -> None:

@@ -103,7 +103,7 @@ def test_the_exact_posterior_is_that_of_the_daemons_likelihood(
     back[:, 2] = -2.0 * np.pi * np.arange(len(SKIN.turns)) / len(SKIN.turns)
     poses = np.concatenate([se2.compose(turn, bank.pose) for turn in back])
     told = []
-    for seen in read(ring_model, NOISE, 3, rng):
+    for seen in read(ring_model, NOISE, 6, rng):
         log_w = np.concatenate(
             [
                 NOISE.log_density(
