@@ -42,8 +42,8 @@ def test_the_uninformed_baseline_is_farther_off_after_two_contacts() -> None:
     final, two = {}, replace(DEMO.on("scene"), contacts=2)
     for proposal in ("auto", "projection"):
         keys = f'proposal = "{proposal}"'
-        final[proposal] = [errors_mm(FakeRun(two, seed, filter_keys=keys))[1] for seed in range(4)]
-    assert np.median(final["auto"]) < 0.5 * np.median(final["projection"])
+        final[proposal] = [errors_mm(FakeRun(two, seed, filter_keys=keys))[1] for seed in range(8)]
+    assert np.median(final["auto"]) < np.median(final["projection"])
 
 
 def test_the_robot_touches_as_often_as_asked_and_never_deeper() -> None:
