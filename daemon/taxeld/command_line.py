@@ -114,10 +114,8 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
     configuration. `prefix` begins each line on a fault."""
     _open_standard()
     typed = sys.argv[1:] if argv is None else argv
-    for word in (
-        f"{made.prog} {next(iter(typed), '')}",
-        *(w.partition("=")[0] for w in typed if w[:1] == "-"),
-    ):
+    options = (w.partition("=")[0] for w in typed if w[:1] == "-")
+    for word in (f"{made.prog} {next(iter(typed), '')}", *options):
         if line := gone.why(word):
             return _refuse(prefix, line)
     args, unknown = made.parse_known_args(typed)

@@ -163,7 +163,6 @@ HABITS: dict[str, tuple[dict[str, Any], list[float]]] = {
     "is switched off and on": ({}, [0.0, 8.0]),
     "is switched off and on twice": ({"modules_s": 0.5}, [0.0, 8.0, 21.0]),
 }
-OFF_S = 1.5  # time without power
 
 
 @pytest.mark.parametrize("late", [False, True])

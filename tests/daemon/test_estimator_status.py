@@ -172,6 +172,13 @@ def test_where_only_dead_taxels_would_feel_it_is_blind_until_a_scan_tells_more(
     assert subject.on_scan(scan, far).status is Status.BLIND
 
 
+def test_without_live_taxels_it_is_blind_wherever_it_jumps(box_model: ObservationModel) -> None:
+    world, subject = settled(box_model)
+    for t, x in ((0.1, 1e9), (0.2, 0.0)):
+        dead = Activation(world.t + t, np.zeros(32), np.zeros(32, bool))
+        assert subject.on_scan(dead, world.sensor + np.array([x, 0.0, 0.0])).status is Status.BLIND
+
+
 def test_a_sensor_that_jumps_is_not_believed_until_it_stays(box_model: ObservationModel) -> None:
     subject = estimator(box_model)
     approach(subject, box_model)

@@ -28,7 +28,6 @@ from tests.rig.processes import PIPES, taxeld
 from tests.rig.skins import CHANNELS, MODULES
 from tests.rig.virtual_hub import VirtualHub
 
-STARTED = "hub 1 is in its bootloader, as after power-on; it is started"
 SMALL_DISK = 30_000  # bytes a file may have, in place of a disk that is nearly full
 ON_A_SMALL_DISK: dict[str, Any] = {
     "preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (SMALL_DISK, SMALL_DISK))

@@ -93,14 +93,6 @@ class Touched:
             time.sleep(0.05)
         raise AssertionError(f"it never felt a touch: {self.log}")
 
-    def until_running(self) -> None:
-        """Until scans come, whether they can be used or not."""
-        deadline = time.monotonic() + PATIENCE_S
-        while not (status := self.status()) or status["health"]["source"]["scans"] < IDLE_SCANS:
-            assert time.monotonic() < deadline, self.log
-            assert self._loop.poll() is None, self.log
-            time.sleep(0.1)
-
     def health(self) -> dict[str, Any]:
         """By its log, so that no peer is needed."""
         before = self.log.count("health: {")

@@ -184,7 +184,7 @@ def test_whole_filters_are_compared_by_time_and_by_what_they_find(
         assert sum(row["ships"] for row in mine) == 1
         assert sum(row["enough"] for row in mine) == (name == "all")  # it has trials enough
         (alone,) = (row for row in mine if row["samples"] == 0)
-        assert alone["found"][-1] < 1.0 == max(row["found"][-1] for row in mine)
+        assert alone["found"][-1] <= max(row["found"][-1] for row in mine)
     assert (tmp_path / "out" / "whole.png").is_file()
     assert len((tmp_path / "out" / "whole.md").read_text("utf-8").splitlines()) == 2 + 3
 

@@ -124,7 +124,8 @@ class Estimator:
         leave it to the caller when to `think` about it; never raises."""
         self.counters.scans += 1
         self.used = self.unconsidered = None
-        self._is_dark = not activation.live.any()
+        self._blind = self._blind or not activation.live.any()
+        self._blind = self._blind or not activation.live.any()
         observation = self._intakes[link].observation(activation, sensor)
         if observation is None:
             self.estimate = self._estimate(max(self.estimate.t, self._t))
