@@ -76,7 +76,7 @@ class Estimator:
         self.history = History()
         self._news = [News(each.layout.radius_m, tally=self._tally) for each in links]
         self._before: list[Observation | None] = [None] * len(links)
-        self._blind = False  # whether the last usable scan told nothing of where the object is
+        self._blind = False  # no live taxel would feel it, until a usable scan tells more
         # number of the last contact of which `taught` has told each link
         self._taught = [0] * len(links)
         self.used: Observation | None = None  # the scan that the last call learned from
@@ -124,7 +124,6 @@ class Estimator:
         leave it to the caller when to `think` about it; never raises."""
         self.counters.scans += 1
         self.used = self.unconsidered = None
-        self._blind = self._blind or not activation.live.any()
         self._blind = self._blind or not activation.live.any()
         observation = self._intakes[link].observation(activation, sensor)
         if observation is None:

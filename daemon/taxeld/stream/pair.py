@@ -80,7 +80,7 @@ def send(end: socket.socket, kind: Kind, *values: object) -> bool:
 def _send_large(end: socket.socket, packet: bytes) -> None:
     file = os.memfd_create("taxeld", os.MFD_CLOEXEC)
     try:
-        with os.fdopen(os.dup(file), "wb") as writer:
+        with open(file, "wb", closefd=False) as writer:
             writer.write(packet)
         socket.send_fds(end, [b"\xc0"], [file])
     finally:

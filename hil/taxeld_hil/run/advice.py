@@ -19,7 +19,8 @@ class AdviceThread:
     """Asks once at a time; the run goes on meanwhile."""
 
     def __init__(self, config: Path) -> None:
-        self._config, self._adviser = load(config), Adviser(load(config), REACH)
+        made = load(config)
+        self._endpoint, self._adviser = made.control.endpoint, Adviser(made, REACH)
         self._thread: threading.Thread | None = None
         self._found: Advice | None = None
 
@@ -39,6 +40,6 @@ class AdviceThread:
     def _run(self) -> None:
         while self._found is None:
             try:
-                self._found = self._adviser.advise(remembered(self._config.control.endpoint))
+                self._found = self._adviser.advise(remembered(self._endpoint))
             except SetupError:  # it has felt nothing yet, or ends
                 time.sleep(PAUSE_S)
