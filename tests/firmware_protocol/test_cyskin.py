@@ -119,10 +119,6 @@ def test_a_packet_without_end_is_bounded() -> None:
         assert link.pending <= MAX_FRAGMENTS
 
 
-def scan_payload() -> bytes:
-    return b"\0\0" + b"".join(v.to_bytes(2, "big") for v in range(10000, 10012))
-
-
 @given(st.floats(0, 4e9), st.integers(0, 0x7FF), st.binary(max_size=8))
 def test_log_lines_round_trip(t: float, can_id: int, data: bytes) -> None:
     frame = Frame(round(t, 6), can_id, data)

@@ -1,16 +1,19 @@
 """Whether the touches of a session agree with its full scale and mount."""
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from taxeld.config.file import load
+from taxeld.config.tables import SceneConfig
 from taxeld.errors import SetupError
 from taxeld_hil.calibration import check
 from taxeld_hil.cli import main
 
 SEEDS = 4
+RECORDED = Path(__file__).parents[1] / "daemon" / "session"
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +46,9 @@ def test_most_skins_of_a_wrong_full_scale_are_named(sessions: list[Path]) -> Non
     assert wrong > SEEDS / 2
 
 
-def test_few_touches_are_refused_with_what_is_needed() -> None:
-    recorded = Path(__file__).parents[1] / "daemon" / "session"
+def test_few_touches_and_no_object_are_refused_with_what_is_needed() -> None:
+    config = load(RECORDED / "config.toml")
     with pytest.raises(SetupError, match="the check needs 5 and p 30%"):
-        check.of_session(recorded, load(recorded / "config.toml"))
+        check.of_session(RECORDED, config)
+    with pytest.raises(SetupError, match=r"scene\.bundle: is empty"):
+        check.of_session(RECORDED, replace(config, scene=SceneConfig()))

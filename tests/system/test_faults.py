@@ -18,7 +18,6 @@ from tests.system.touched import Touched, touched
 
 pytestmark = pytest.mark.check
 
-DISK_KB = 2000
 LOSSES = 2
 NEAR = 1e-6  # a recording keeps the microseconds of a scan's time, and no less
 
@@ -108,7 +107,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A disk of its own; only root may have one."""
     place = tmp_path / "disk"
     place.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_KB}k", "tmpfs", str(place)]
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(place)]
     can = os.geteuid() == 0 and shutil.which("mount")
     if not can or subprocess.run(mount, capture_output=True, check=False).returncode:
         pytest.skip("no disk of its own")

@@ -61,7 +61,7 @@ class CalibrationCheck:
         yield f"touches    {self.touches}"
         yield f"full scale × {self.scale:.2f}"
         yield f"mount      x {1e3 * x:+.1f} mm, y {1e3 * y:+.1f} mm, yaw {np.degrees(yaw):+.1f}°"
-        yield f"likelier   by {self.gained:.0f} nats; {CERTAIN_NATS:.0f} and more are no chance"
+        yield f"likelier   by {self.gained:.0f} nats; chance gives less than {CERTAIN_NATS:.0f}"
         yield "full scale or mount is wrong: calibrate again" if self.is_wrong else "both hold"
 
 
@@ -72,6 +72,8 @@ def of_session(directory: Path, config: Config) -> CalibrationCheck:
         SetupError: the session cannot be used, or its touches do not find the object.
     """
     pipeline = open_pipeline(directory, config)
+    if not pipeline.has_object:
+        raise SetupError("scene.bundle: is empty; the check needs the object that was touched")
     touches: dict[int, Observation] = {}
     for outcome in outcomes(directory, pipeline):
         used, number = pipeline.estimator.used, outcome.estimate.contacts
@@ -97,13 +99,11 @@ class _Fits:
     ) -> None:
         self._model, self._where, self._noise = model, where, noise
         self._sensor = np.array([one.sensor for one in touches])
-        self._z, self._live = (
-            np.array([getattr(one, n) for one in touches]) for n in ("z", "live")
-        )
+        self._z = np.array([one.z for one in touches])
+        self._live = np.array([one.live for one in touches])
         ones = np.ones_like(self._z[0])
-        self._floor, self._residue = (
-            np.array([getattr(one, n) * ones for one in touches]) for n in ("floor", "residue")
-        )
+        self._floor = np.array([one.floor * ones for one in touches])
+        self._residue = np.array([one.residue * ones for one in touches])
 
     def check(self) -> CalibrationCheck:
         tried = [least_squares(self._residuals, x, loss="soft_l1").x for x in STARTS]
@@ -128,9 +128,8 @@ class _Fits:
         within = np.minimum(h, 1.0)
         own = ONSET_SD * deviation(within)
         sd = np.sqrt(self._noise.variance(within) + own**2 + self._residue**2)
-        told = (
-            self._live & ~((self._z >= 1.0) & (h >= 1.0)) & ~((self._z == 0.0) & (h <= self._floor))
-        )
+        told = self._live & ~((self._z >= 1.0) & (h >= 1.0))
+        told &= ~((self._z == 0.0) & (h <= self._floor))
         return np.asarray(np.where(told, (self._z - h) / sd, 0.0))
 
     def _residuals(self, x: Floats) -> Floats:
