@@ -42,8 +42,8 @@ def test_the_uninformed_baseline_is_farther_off_after_two_contacts() -> None:
     final, two = {}, replace(DEMO.on("scene"), contacts=2)
     for proposal in ("auto", "projection"):
         keys = f'proposal = "{proposal}"'
-        final[proposal] = [errors_mm(FakeRun(two, seed, filter_keys=keys))[1] for seed in range(8)]
-    assert np.median(final["auto"]) < np.median(final["projection"])
+        final[proposal] = [errors_mm(FakeRun(two, seed, filter_keys=keys))[1] for seed in range(20)]
+    assert np.median(final["auto"]) < 0.5 * np.median(final["projection"])
 
 
 def test_the_robot_touches_as_often_as_asked_and_never_deeper() -> None:
@@ -120,7 +120,7 @@ def test_no_taxel_that_the_object_presses_is_taken_to_be_out_of_its_reach(name: 
 ENOUGH = 8  # of a mug: fewer may all miss its handle
 HARMLESS = ("flooded", "subscriber_dead", "adapter_closed")  # to the scans of a press, or a moment
 BEFORE_S, AFTER_S = 0.5, 1.5  # of a hold: the ramp in; and of a fault: to be back
-SEEDS = 9
+SEEDS = 100
 
 
 @lru_cache
