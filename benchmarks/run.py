@@ -27,7 +27,7 @@ from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
-from taxeld.model.activation import Activation
+from taxeld.model.observation import Activation
 from taxeld.proposals import bundle
 
 ROUNDS = 7

@@ -21,9 +21,8 @@ from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.layout.layout import Layout
 from taxeld.layout.read import load as load_layout
-from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
+from taxeld.model.contacts import Proposal
+from taxeld.model.observation import Activation, ObservationModel
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import Mode, PoseMetric
 from taxeld.pipeline.freshness import Why

@@ -14,8 +14,7 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import ROOM, SILENT_MAX, Mixture
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Activation, ObservationModel
 from taxeld.pipeline.freshness import Why
 from taxeld.proposals.analytic import Projection
 from taxeld.stream import messages

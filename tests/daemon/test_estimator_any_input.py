@@ -11,8 +11,7 @@ from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import se2
-from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Activation, ObservationModel
 from taxeld.proposals.analytic import Manifold
 
 TAXELS = 32

@@ -12,8 +12,7 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import AGREED, REVISITS, Mixture
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld.model.activation import Activation
-from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.observation import Activation, Observation, ObservationModel
 from taxeld.proposals.analytic import Manifold
 from tests.rig.pressed_box import TRUTH, World, approach, box_side, estimator, settled
 from tests.rig.scenes import Distance, box, disc, scene_of

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import SkinConfig
-from taxeld.model.activation import Activation
+from taxeld.model.observation import Activation
 from taxeld.skin.foam import KEPT, Residue
 from taxeld.skin.skin import Skin
 from tests.rig.simulated_skin import PERIOD_S, SimulatedSkin

@@ -75,7 +75,7 @@ def test_touches_are_explained_as_the_dense_model_says(box_model: ObservationMod
         h = box_model.activation(seen)
         z, live = noise.draw(h[3], rng), rng.random(h.shape[1]) < 0.8
         memory = memory.plus(Observation(np.array(sensor), z, live))
-        dense.append(noise.log_likelihood(z, live, h))
+        dense.append(noise.log_density(z, h) @ live.astype(float))
     assert np.allclose(memory.explain(poses), np.array(dense).T, atol=0.01)
     assert np.allclose(memory.explain_newest(poses), np.array(dense).T[:, -1], atol=0.01)
     memory = memory.only(np.array([False, True, True]))

@@ -6,10 +6,9 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.rule import EstimatorCounters
 from taxeld.layout.layout import Layout
-from taxeld.model.activation import Activation
 from taxeld.model.leak import CROSS_TALK, REACH_M, Leak
 from taxeld.model.noise import Noise
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Activation, ObservationModel
 
 
 def one_pressed(taxels: int) -> np.ndarray:

@@ -10,8 +10,7 @@ from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
 from taxeld.model import se2
-from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Activation, ObservationModel
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Table
 

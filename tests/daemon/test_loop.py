@@ -16,7 +16,7 @@ import zmq
 from taxeld.config.file import parse
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
-from taxeld.model.activation import Activation
+from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.proposals.samples import Degraded

@@ -9,8 +9,8 @@ from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
+from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.analytic import Manifold, Projection, Table
 

@@ -8,11 +8,9 @@ import pytest
 from taxeld.arrays import Floats
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
-from taxeld.model import sag
-from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
-from taxeld.model.response import Inverse, response
-from taxeld.model.sag import sagging
+from taxeld.model.observation import Lesson
+from taxeld.model.response import SAG_M, SAG_SD, Inverse, response, sagging
 from taxeld.proposals import bundle
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.fit import SkinFit
@@ -22,7 +20,7 @@ from taxeld_hil.scenario import scenario
 from tests.daemon.test_skin_state import begun
 
 TAXELS = 60
-NOISE = Noise(0.04, 0.17, sag_m=sag.LENGTH_M, sag_sd=sag.LENGTH_SD)
+NOISE = Noise(0.04, 0.17, sag_m=SAG_M, sag_sd=SAG_SD)
 
 
 class Taught:

@@ -7,8 +7,7 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import contacts, se2
-from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Activation, ObservationModel
 from taxeld.proposals.analytic import Projection
 
 TRUTH = np.array([0.1, 0.05, 0.3])

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from taxeld.layout.layout import Layout
-from taxeld.model.activation import Activation
+from taxeld.model.observation import Activation
 from taxeld.skin.skin import Skin
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.modules import Module, wired

@@ -10,8 +10,7 @@ import numpy as np
 
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
-from taxeld.model.sag import LEAST as LEAST_RATE
-from taxeld.model.sag import sagging
+from taxeld.model.response import LEAST_RATE, sagging
 
 SHAPES = 384  # shapes, each with a depth and a side: a nat of the mean, about
 SIDE_RAD = math.radians(15.0)  # the side that is pressed is this near the middle of the readings

@@ -21,9 +21,8 @@ from taxeld.estimator.rule import Draw, Rule
 from taxeld.estimator.runs import SWAPPED
 from taxeld.estimator.verdict import Verdict
 from taxeld.model import se2
-from taxeld.model.lesson import Lesson
-from taxeld.model.observation import Observation, ObservationModel
-from taxeld.model.proposal import Proposal
+from taxeld.model.contacts import Proposal
+from taxeld.model.observation import Lesson, Observation, ObservationModel
 from taxeld.model.symmetry import Mode
 from taxeld.prior import PosePrior
 

@@ -14,9 +14,9 @@ import numpy as np
 from taxeld import native
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses
 from taxeld.estimator import offsets
-from taxeld.model import sag
 from taxeld.model.noise import BOWLING, FARTHEST_SD, Noise
 from taxeld.model.observation import BAND_M, ObservationModel
+from taxeld.model.response import FARTHEST_RATES, LEAST_RATE
 
 FIELDS = 8  # fields of `memory.Kept` that the C code reads
 LANES = 8  # lanes of the C code's vectors
@@ -112,8 +112,8 @@ class Compiled:
             farthest=FARTHEST_SD,
             bowling1=BOWLING[0],
             bowling3=BOWLING[1],
-            least_rate=sag.LEAST,
-            farthest_rates=sag.FARTHEST,
+            least_rate=LEAST_RATE,
+            farthest_rates=FARTHEST_RATES,
         )
 
     def scans(self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Scans:

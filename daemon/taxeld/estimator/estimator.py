@@ -22,10 +22,8 @@ from taxeld.estimator.news import ContactCount, News
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.rule import EstimatorCounters, Rule
 from taxeld.estimator.verdict import status
-from taxeld.model.activation import Activation
-from taxeld.model.lesson import Lesson
-from taxeld.model.observation import Observation, ObservationModel
-from taxeld.model.proposal import Proposal
+from taxeld.model.contacts import Proposal
+from taxeld.model.observation import Activation, Lesson, Observation, ObservationModel
 from taxeld.prior import PosePrior
 
 RULES: dict[str, Callable[[ObservationModel, FilterConfig, float, np.random.Generator], Rule]] = {

@@ -7,8 +7,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.news import moved_m
 from taxeld.estimator.rule import EstimatorCounters
-from taxeld.model.activation import Activation
-from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.observation import Activation, Observation, ObservationModel
 from taxeld.model.se2 import JUMP_M
 
 SAME = 0.01  # share of full scale: a reading changes only by more than this

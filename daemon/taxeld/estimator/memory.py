@@ -19,11 +19,9 @@ from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.prior_term import PriorTerm
 from taxeld.estimator.reader import Kept, Reader, fields
 from taxeld.estimator.runs import HAZARD, SWAPPED, Runs
-from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
-from taxeld.model.observation import Nearby, Observation, ObservationModel
-from taxeld.model.sag import LEAST as LEAST_RATE
-from taxeld.model.sag import sagging
+from taxeld.model.observation import Lesson, Nearby, Observation, ObservationModel
+from taxeld.model.response import LEAST_RATE, sagging
 from taxeld.model.symmetry import Mode, PoseMetric
 
 Number = TypeVar("Number", np.intp, np.float64)

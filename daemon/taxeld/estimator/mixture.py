@@ -16,8 +16,7 @@ from taxeld.estimator.particles import Belief
 from taxeld.estimator.prior_term import PriorTerm, TableTop
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
 from taxeld.estimator.verdict import Place, placed
-from taxeld.model.lesson import Lesson
-from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.observation import Lesson, Observation, ObservationModel
 from taxeld.model.push import STRIDE, Push, assumed, changed, push
 from taxeld.model.symmetry import PoseMetric
 from taxeld.prior import PosePrior

@@ -3,7 +3,7 @@
 The sensor's pose at a touch is known only to about a millimetre, and each later touch may have
 moved the object as much. So p(z | q) = ∫ p(z | q, e) N(e; 0, s²) de over an offset e of the sensor
 in the plane, common to all taxels of the scan. The depth is linear in e, by the gradient of the
-distance field; what is read of it sags (`model.sag`). The integral is Laplace's, about the e that
+distance field; what is read of it sags (`response`). The integral is Laplace's, about the e that
 explains the reading best.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taxeld.arrays import Floats, Grid, Index
-from taxeld.model.sag import LEAST, sagging
+from taxeld.model.response import LEAST_RATE, sagging
 
 ITERATIONS = 2  # Gauss-Newton steps: taxels come into touch, and leave it, once
 HIDDEN = 1.5  # standard deviations of its offset by which a silent scan may be off
@@ -48,7 +48,7 @@ class Readings:
         x = y = np.zeros(len(rows))
         depth = self.depth
         for _ in range(ITERATIONS):
-            sags = (self.rate > LEAST) & (depth < self.rate)  # else a straight line
+            sags = (self.rate > LEAST_RATE) & (depth < self.rate)  # else a straight line
             read = np.where(sags, sagging(depth, self.rate), depth)
             move = np.where(sags, read / self.rate, np.float32(1.0)) * self.root
             ax, ay = self.gx * move, self.gy * move

@@ -12,8 +12,7 @@ from taxeld.estimator.evidence import UNTOUCHED
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
 from taxeld.estimator.verdict import placed
-from taxeld.model.lesson import Lesson
-from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.observation import Lesson, Observation, ObservationModel
 from taxeld.model.push import assumed, push
 from taxeld.model.symmetry import PoseMetric
 

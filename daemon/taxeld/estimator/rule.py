@@ -12,10 +12,9 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.evidence import ObjectEvidence
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.verdict import Place
-from taxeld.model import sag
-from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
-from taxeld.model.observation import Observation
+from taxeld.model.observation import Lesson, Observation
+from taxeld.model.response import SAG_M, SAG_SD
 from taxeld.model.symmetry import PoseMetric
 
 Draw = Callable[[Observation, int], Poses]
@@ -80,7 +79,7 @@ def drawn(draw: Draw, observation: Observation, n: int) -> Poses:
 
 def noise_of(config: FilterConfig) -> Noise:
     """Errors of a skin of which no more is known than its kind."""
-    return Noise(config.noise_sigma, config.gain_cv, sag_m=sag.LENGTH_M, sag_sd=sag.LENGTH_SD)
+    return Noise(config.noise_sigma, config.gain_cv, sag_m=SAG_M, sag_sd=SAG_SD)
 
 
 def anew(config: FilterConfig, rng: np.random.Generator) -> Belief:

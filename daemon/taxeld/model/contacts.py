@@ -6,11 +6,11 @@ exactly; near the medial axis and grid corners it does not, and such poses are d
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model.scene import Scene
 
 RESIDUAL_MAX_M = 0.0005
@@ -21,20 +21,29 @@ class Contacts:
     """Contact poses of the object in the sensor frame, and how many draws were dropped."""
 
     pose: Poses  # (n, 3)
-    depth_m: NDArray[np.float64]  # (n,)
+    depth_m: Floats  # (n,)
     dropped: int
 
 
-def clearance(scene: Scene, radius_m: float, poses: Poses) -> NDArray[np.float64]:
+class Proposal(Protocol):
+    """A sampler of p(pose | activations)."""
+
+    @property
+    def name(self) -> str: ...
+
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
+        """z (M,), live (M,) → object poses (n, 3) in the sensor frame."""
+        ...
+
+
+def clearance(scene: Scene, radius_m: float, poses: Poses) -> Floats:
     """(N,) signed gap [m] between the cylinder and the silhouette, negative when pressed, for an
     object at `poses` (N, 3) in the sensor frame."""
     ax, ay = axis_in_object(poses)
     return scene.clearance(ax, ay)[0] - radius_m
 
 
-def project(
-    scene: Scene, radius_m: float, poses: Poses, depth_m: NDArray[np.float64]
-) -> tuple[Poses, NDArray[np.float64]]:
+def project(scene: Scene, radius_m: float, poses: Poses, depth_m: Floats) -> tuple[Poses, Floats]:
     """Move `poses` (N, 3) by one step to press `depth_m` (N,) deep; → poses, residual (N,) [m]."""
     ax, ay = axis_in_object(poses)
     distance, gx, gy = scene.clearance(ax, ay)
@@ -57,13 +66,13 @@ def synthesise(
     return Contacts(poses[kept], depth[kept], int(n - kept.sum()))
 
 
-def axis_in_object(poses: Poses) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def axis_in_object(poses: Poses) -> tuple[Floats, Floats]:
     """The cylinder's axis (N,), (N,) in the frame of an object at `poses` (N, 3): −R(θ)ᵀ (x, y)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     return -(c * poses[:, 0] + s * poses[:, 1]), s * poses[:, 0] - c * poses[:, 1]
 
 
-def pose_of_axis(ax: NDArray[np.float64], ay: NDArray[np.float64], theta: Floats) -> Poses:
+def pose_of_axis(ax: Floats, ay: Floats, theta: Floats) -> Poses:
     """Poses (N, 3) of an object turned by θ (N,) or (), in whose frame the cylinder's axis is at
     (ax, ay), each (N,): the inverse of `axis_in_object`, −R(θ) (ax, ay)."""
     c, s = np.cos(theta), np.sin(theta)

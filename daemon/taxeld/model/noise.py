@@ -23,7 +23,7 @@ class Noise:
     sigma: Floats | float = 0.02  # sd of the additive noise
     gain_cv: Floats | float = 0.17  # sd of a taxel's relative gain error
     outliers: float = 0.01  # probability that a reading has nothing to do with the pose
-    sag_m: Floats | float = 0.0  # length by which the cover sags beside a press (`model.sag`)
+    sag_m: Floats | float = 0.0  # length by which the cover sags beside a press (`response`)
     sag_sd: Floats | float = 0.0  # sd of that length's logarithm
 
     @property
@@ -73,10 +73,6 @@ class Noise:
         power = np.exp(np.where(told, -0.5 * square, sign * (BOWLING[0] + BOWLING[1] * square)))
         likely = np.where(told, power / np.sqrt(2.0 * np.pi * variance), 1.0 / (1.0 + power))
         return np.asarray(np.log((1.0 - self.outliers) * likely + self.least))
-
-    def log_likelihood(self, z: Floats, live: Bools, h: Floats) -> Floats:
-        """log p(z | h) summed over live taxels: z (M,), live (M,), h (N, M) → (N,)."""
-        return np.asarray(self.log_density(z, h) @ live.astype(np.float64))
 
 
 def normal_cdf(x: Floats) -> Floats:

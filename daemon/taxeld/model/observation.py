@@ -1,14 +1,14 @@
-"""The observation model: how deep an object at a pose presses each taxel.
+"""Readings, and the observation model: how deep an object at a pose presses each taxel.
 
 h(q)_i = clip(−σ_k(i)(q⁻¹ p_i) / δ_max, 0, 1); `noise` says how readings err about it.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses, Reals
 from taxeld.layout.layout import Layout
@@ -17,21 +17,36 @@ from taxeld.model.leak import Leak
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.scene import Scene
 
+BLOCK = 65_536  # points looked up at once: they stay in the cache
+BAND_M = 0.005  # m that a pose or a sensor may be off: taxels this far beside a press are looked up
 NONE = np.empty(0, np.float32)  # slopes where none are asked for
 
 
 @dataclass(frozen=True, slots=True)
+class Activation:
+    """Readings of M taxels at time t [s]."""
+
+    t: float
+    z: Floats  # (M,) 0..1, exactly 0 below the taxel's floor
+    live: Bools  # (M,) whether the taxel has answered and can be believed
+    floor: Floats | float = FLOOR  # (M,) readings below it are 0: noise, and foam's remains
+    residue: Floats | float = 0.0  # (M,) part of a reading that earlier presses may have left
+    noise: Noise | None = None  # errors of each taxel, where they are known
+    place_sd_m: float = 0.0  # of the sensor's place at t, beside what every place is off
+
+
+@dataclass(frozen=True, slots=True)
 class Observation:
-    """A scan as evidence: readings, and the sensor's pose."""
+    """A scan as evidence: what an activation holds, and the sensor's pose."""
 
     sensor: Poses  # (3,) sensor's pose in the world
     z: Floats  # (M,) activations, 0 where a taxel is not live
     live: Bools  # (M,)
-    floor: Floats | float = FLOOR  # (M,) a reading below it is 0
-    residue: Floats | float = 0.0  # (M,) part of a reading that earlier presses may have left
-    noise: Noise | None = None  # errors of each taxel, where they are known
+    floor: Floats | float = FLOOR
+    residue: Floats | float = 0.0
+    noise: Noise | None = None
     link: int = 0  # number of the link whose skin it is
-    place_sd_m: float = 0.0  # of the sensor's place, beside what every place is off
+    place_sd_m: float = 0.0
 
     @property
     def is_contact(self) -> bool:
@@ -39,8 +54,16 @@ class Observation:
         return bool(self.z.max() > 0.0)
 
 
-BLOCK = 65_536  # points looked up at once: they stay in the cache
-BAND_M = 0.005  # m that a pose or a sensor may be off: taxels this far beside a press are looked up
+class Lesson(NamedTuple):
+    """Readings of K contacts beside the depths that a sure belief expects, (K, M) each, in shares
+    of full scale: they tell a skin about its taxels."""
+
+    z: Floats  # by the curves in use; 0 under the floor
+    floor: Floats  # of readings of 0
+    h: Floats  # expected depth, with sag
+    by_sag: Floats  # slope of h over the logarithm of the sag's length
+    variance: Floats  # of the depth about h, by pose, and of what earlier presses may have left
+    live: Bools
 
 
 class Nearby(NamedTuple):
@@ -88,7 +111,8 @@ class ObservationModel:
         self.depth_max_m = depth_max_m
         self.leak = Leak(layout)
         place, group = np.unique(layout.position_m[:, :2], axis=0, return_inverse=True)
-        column = _padded(group, len(place))
+        columns = [np.flatnonzero(group == k).tolist() for k in range(len(place))]
+        taxel = np.array([*zip(*zip_longest(*columns, fillvalue=-1), strict=True)])
         farthest = float(np.hypot(*place.T).max()) + 1.5 * scene.cell
         self.grid = GridTables(
             slices=scene.slices.ravel(),
@@ -96,8 +120,8 @@ class ObservationModel:
             about=_touched(scene.silhouette, BAND_M),
             reach=(scene.silhouette < farthest + BAND_M).ravel(),
             place=np.vstack([place.T, np.ones(len(place))]).astype(np.float32),
-            taxel=column,
-            offset=scene.slice_of(layout)[column] * scene.silhouette.size,
+            taxel=taxel,
+            offset=scene.slice_of(layout)[taxel] * scene.silhouette.size,
         )
 
     def pressed(self, poses: Floats) -> tuple[Index, Grid]:
@@ -199,19 +223,9 @@ def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
     return (c * x + s * y).ravel(), (c * y - s * x).ravel(), turn.ravel()
 
 
-def _touched(silhouette: NDArray[np.float32], band_m: float) -> Bools:
+def _touched(silhouette: Grid, band_m: float) -> Bools:
     """(cells,) cells of the grid with a corner so near the object that a taxel there counts."""
     inside = silhouette < band_m
     near = np.zeros_like(inside)
     near[:-1, :-1] = inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:]
     return near.ravel()
-
-
-def _padded(group: NDArray[np.intp], groups: int) -> NDArray[np.intp]:
-    """Numbers of groups (M,) → (groups, most) the members of each group, −1 where it has fewer than
-    the largest."""
-    count = np.bincount(group, minlength=groups)
-    members = np.full((groups, int(count.max())), -1)
-    order = np.argsort(group, kind="stable")
-    members[group[order], np.arange(len(group)) - (np.cumsum(count) - count)[group[order]]] = order
-    return members

@@ -1,25 +1,28 @@
-"""A taxel's reading at a depth, both in shares of its own full scale, and its inverse.
+"""What a taxel reads at a depth, in shares of its own full scale, and the depth of a reading.
 
 A taxel's curve is r(h) = h + bend·h(1 − h) + onset·d(h): the bend is common, the onset its own. The
 deviation d rises at once and falls slowly: taxels of a recorded insole differ mostly by it
 (docs/physics.md). Beyond full depth the curve is the line r = h.
+
+Beside a press of depth d the cover sags by d·exp(−s/λ) at a distance s (a membrane on springs).
+Where the depth falls by a slope g along the skin, the sag of the points beside overtakes the depth
+itself below G = g·λ, and reads G·exp(d/G − 1): the exponential that touches the line d there. It
+needs no more than a taxel's own depth and slope, at any pitch.
 """
 
 import numpy as np
 
-from taxeld.arrays import Floats, Index
+from taxeld.arrays import Floats, Index, Reals
 
 ONSET = 0.15  # share of full depth within which a taxel's own deviation has risen
 GRID = np.linspace(0.0, 1.0, 257)  # depths at which a curve is inverted
 STEPS = 128  # steps of reading between which the depth is interpolated
+SAG_M = 0.0019  # λ of a taxel and press in the recordings, the median
+SAG_SD = 0.9  # sd of its logarithm
+LEAST_RATE = 1e-4  # least G, in shares of full scale: no sag
+FARTHEST_RATES = 40.0  # G below the line at which nothing is left
 _END = -np.expm1(-1.0 / ONSET)
 _SLOPE = 1.0 / (ONSET * _END) - 1.0  # slope at 0: d begins with a slope of 1
-
-
-def bow(h: Floats) -> Floats:
-    """h(1 − h) within full depth, 0 beyond it, for depths h of any shape; → the same shape."""
-    h = np.clip(h, 0.0, 1.0)
-    return np.asarray(h * (1.0 - h))
 
 
 def deviation(h: Floats) -> Floats:
@@ -31,7 +34,15 @@ def deviation(h: Floats) -> Floats:
 def response(h: Floats, bend: float | Floats, onset: Floats) -> Floats:
     """Readings at depths h, both in shares of full scale. All of h, bend and onset have shapes that
     broadcast, such as (N, M) and (M,)."""
-    return np.asarray(h + bend * bow(h) + onset * deviation(h))
+    within = np.clip(h, 0.0, 1.0)
+    return np.asarray(h + bend * (within * (1.0 - within)) + onset * deviation(h))
+
+
+def sagging(depth: Reals, rate: Reals) -> Reals:
+    """Depths that taxels read at `depth`, below 0 where they are not reached; `rate` is G. All are
+    in shares of full scale, of any shapes that broadcast; → their common shape."""
+    below = np.minimum(np.maximum(depth / rate - 1.0, -FARTHEST_RATES), 0.0)
+    return np.asarray(np.where(depth < rate, rate * np.exp(below), depth))
 
 
 class Inverse:

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from taxeld.arrays import Floats, Grid
+from taxeld.arrays import Floats, Grid, Index
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.model import se2
 
 CONTINUOUS = 0  # the `symmetry` of an object of revolution
 HEIGHT_TOLERANCE_M = 0.006  # a slice serves taxels within this height; slices stand 10 mm apart
@@ -93,16 +91,7 @@ class Scene:
         one's alone."""
         return float(np.linalg.norm(self.edge - self.centre, axis=1).max())
 
-    @cached_property
-    def equivalents(self) -> Floats:
-        """(n, 3) poses that touch cannot tell apart, the identity first.
-
-        An object of revolution is sampled every 10°: ample for errors in millimetres.
-        """
-        n = 36 if self.symmetry == CONTINUOUS else self.symmetry
-        return np.array([se2.rotation_about(self.centre, 2.0 * np.pi * k / n) for k in range(n)])
-
-    def slice_of(self, layout: Layout) -> NDArray[np.intp]:
+    def slice_of(self, layout: Layout) -> Index:
         """(M,) the slice that serves each taxel.
 
         Raises:

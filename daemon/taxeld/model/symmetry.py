@@ -130,13 +130,11 @@ class PoseMetric:
 def add_m(scene: Scene, estimate: Poses, truth: Poses) -> tuple[float, float]:
     """Average distance of surface points between two poses (3,): plain, and the least over the
     object's geometric rotation group."""
-    at_truth = se2.apply(truth, scene.surface[:, :2])
-    equivalents = scene.equivalents
+    turns = [2.0 * np.pi * k / scene.symmetry for k in range(scene.symmetry)]
     if scene.symmetry == CONTINUOUS:  # the one turn that undoes the error's
-        undone = se2.rotation_about(scene.centre, truth[2] - estimate[2])
-        equivalents = np.stack([se2.IDENTITY, undone])
-    poses = se2.compose(estimate, equivalents)
-    each = [
-        np.linalg.norm(se2.apply(p, scene.surface[:, :2]) - at_truth, axis=1).mean() for p in poses
-    ]
+        turns = [0.0, truth[2] - estimate[2]]
+    surface = scene.surface[:, :2]
+    at_truth = se2.apply(truth, surface)
+    poses = [se2.compose(estimate, se2.rotation_about(scene.centre, turn)) for turn in turns]
+    each = [np.linalg.norm(se2.apply(pose, surface) - at_truth, axis=1).mean() for pose in poses]
     return float(each[0]), float(min(each))

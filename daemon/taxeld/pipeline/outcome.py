@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Estimate
-from taxeld.model.activation import Activation
+from taxeld.model.observation import Activation
 from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
 

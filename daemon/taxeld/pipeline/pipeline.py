@@ -20,8 +20,7 @@ from taxeld.estimator.history import Used
 from taxeld.estimator.rule import EstimatorCounters
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Activation, ObservationModel
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later

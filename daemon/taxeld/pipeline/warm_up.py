@@ -6,8 +6,7 @@ import numpy as np
 
 from taxeld.config.tables import Config
 from taxeld.model import contacts, se2
-from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Activation, ObservationModel
 from taxeld.pipeline.pipeline import estimator_of
 from taxeld.proposals.samples import Samples
 

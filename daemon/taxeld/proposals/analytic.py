@@ -7,8 +7,8 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
+from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 
 ROUNDS = 1000  # most rounds of drawing contacts; `check_contacts` has found that some land
 DRAWS, LEAST_FELT = 5000, 10  # contacts drawn by `check_contacts`, and the fewest that must be felt

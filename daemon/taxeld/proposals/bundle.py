@@ -10,8 +10,8 @@ from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
+from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld.proposals import manifest, scene_file
 from taxeld.proposals.analytic import ANALYTIC, Table, check_contacts
 from taxeld.proposals.manifest import LinkEntry, Manifest, SamplerEntry

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from taxeld.config.tables import Config, FilterConfig
+from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld.proposals import several
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.samples import ClockNs, Samples

@@ -11,8 +11,8 @@ from enum import IntEnum
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
+from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld.proposals.analytic import ANALYTIC, Table
 
 PATIENCE = 3  # touches in a row that may take too long

@@ -9,7 +9,7 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Estimate
-from taxeld.model.activation import Activation
+from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.proposals import several

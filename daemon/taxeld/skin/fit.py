@@ -1,7 +1,7 @@
 """What touches teach about each taxel: its gain, the onset of its response, and its sag.
 
 A sure belief says how deep each taxel was pressed, so its readings say how it responds. Each taxel
-has a Gaussian over three numbers (`model.response`, `model.sag`): the relative gain, the onset of
+has a Gaussian over three numbers (`model.response`): the relative gain, the onset of
 its own curve, and the logarithm of the length by which the cover sags beside it. A reading is one
 step of an extended Kalman filter. A lesson is a trial first: it stays only where it foretells the
 readings of the next lesson better than what was known before (prequential; Dawid 1984).
@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from taxeld.arrays import Floats
-from taxeld.model import sag
-from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
-from taxeld.model.response import deviation, response
+from taxeld.model.observation import Lesson
+from taxeld.model.response import SAG_M, SAG_SD, deviation, response
 from taxeld.skin.calibration import Calibration
 
 STEP = 1e-3  # of depth, for the slope of a response
@@ -92,8 +91,8 @@ class SkinFit:
         if calibration is not None:
             gain, onset, self.bend = calibration.gain, calibration.onset, calibration.bend
             sd = np.stack([calibration.gain_sd, calibration.onset_sd])
-        sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * sag.LENGTH_SD * ones])
-        self.fit = TaxelFit(np.stack([gain, onset, np.log(sag.LENGTH_M) * ones]), _diagonal(sd))
+        sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * SAG_SD * ones])
+        self.fit = TaxelFit(np.stack([gain, onset, np.log(SAG_M) * ones]), _diagonal(sd))
         self.lessons = 0  # lessons that were kept
         self.refused = 0
         self._noise, self._usual = noise, np.median(sd**2, axis=1)
@@ -120,7 +119,7 @@ class SkinFit:
         """The errors of each taxel's readings about its curve, (M,)."""
         now, usual = self.fit.cov, self._noise
         gain = np.square(usual.gain_cv) * now[0, 0] / self._usual[0]
-        of_press = (1.0 - OWN) * sag.LENGTH_SD**2
+        of_press = (1.0 - OWN) * SAG_SD**2
         return Noise(
             sigma=usual.sigma,
             gain_cv=np.maximum(np.sqrt(gain), np.minimum(GAIN_KNOWN, usual.gain_cv)),
@@ -152,6 +151,6 @@ class SkinFit:
         off = np.where(felt, z - h, np.where(unfelt, lesson.floor - h, 0.0))
         slope = np.stack([reads / (gain * rise), deviation(h) / rise, lesson.by_sag])
         own = WITHIN * np.square(self._noise.sigma) + np.square(GAIN_WITHIN * h)
-        of_press = (1.0 - OWN) * np.square(sag.LENGTH_SD * lesson.by_sag)
+        of_press = (1.0 - OWN) * np.square(SAG_SD * lesson.by_sag)
         variance = own / rise**2 + lesson.variance + of_press
         return LinearLesson(off, slope, np.where(lesson.live & (felt | unfelt), variance, np.inf))

@@ -14,9 +14,8 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Index
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
-from taxeld.model.activation import Activation
-from taxeld.model.lesson import Lesson
 from taxeld.model.noise import FLOOR, Noise
+from taxeld.model.observation import Activation, Lesson
 from taxeld.model.response import Inverse
 from taxeld.skin import state as skin_state
 from taxeld.skin.calibration import Calibration, Scale

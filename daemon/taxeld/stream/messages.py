@@ -14,7 +14,7 @@ from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld.model.activation import Activation
+from taxeld.model.observation import Activation
 from taxeld.model.scene import Scene
 from taxeld.pipeline.freshness import CURES, Why
 from taxeld.proposals.samples import Degraded

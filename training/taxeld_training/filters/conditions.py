@@ -9,9 +9,8 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
-from taxeld.model.activation import Activation
 from taxeld.model.noise import FLOOR
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Activation, ObservationModel
 from taxeld.skin.foam import Residue
 from taxeld_hil.scenario.mesh_config import SKINS, MeshConfig
 from taxeld_hil.world.electronics import CrossTalk, Response

@@ -11,8 +11,8 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
+from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import add_m
 from taxeld_hil.integrity import is_misleading
 from taxeld_training.filters import gridded, methods, pushing

@@ -21,8 +21,7 @@ from taxeld.advice.lines import Lines, travel
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
-from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Activation, ObservationModel
 from taxeld_training.filters.conditions import (
     Accepts,
     TrialConditions,

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.offsets import HIDDEN, Readings
-from taxeld.model import sag, se2
+from taxeld.model import se2
 from taxeld.model.noise import Noise, normal_cdf
 from taxeld.model.observation import BAND_M, Observation, ObservationModel
+from taxeld.model.response import LEAST_RATE
 from taxeld_training.limits.grid_cells import Cells
 
 BLOCK = 1024  # cells weighed at once: their taxels stay in the cache
@@ -156,7 +157,7 @@ class CellLikelihood:
                     pairs.depth,
                     *pairs.slope,
                     1.0 / np.sqrt(self._noise.variance(z) + residue**2 + extent),
-                    np.full(len(z), sag.LEAST),  # the grid's skin does not sag
+                    np.full(len(z), LEAST_RATE),  # the grid's skin does not sag
                 )
             ),
         )

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
+from taxeld.model.contacts import Proposal
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import Draws, ExactPosterior, energy_distance
 from taxeld_training.models.dataset import SimulatedTouches, read, simulate

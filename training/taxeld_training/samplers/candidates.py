@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from taxeld.model.contacts import Proposal
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld.proposals.sampler import Sampler
 from taxeld_training.jobs.rows import DISTANCES

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taxeld.arrays import Floats
+from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.jobs.statistics import of_mean, rounded

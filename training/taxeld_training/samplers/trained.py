@@ -15,8 +15,8 @@ import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
+from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld.proposals.sampler import Sampler
