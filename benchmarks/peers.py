@@ -29,7 +29,7 @@ from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
-from taxeld.proposals import scene_file
+from taxeld.proposals import manifest
 
 SIZES = {  # particles: rounds, steps of each, budget [ms]
     100: (20, 20, 0.3),
@@ -123,7 +123,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the figures there as well")
     args = parser.parse_args()
     skin = layouts.load(SkinConfig().layout)
-    box = scene_file.load(SCENE / "bundles" / "box" / "scene.npz")
+    box = manifest.parse_scene((SCENE / "bundles" / "box" / "scene.npz").read_bytes(), SCENE)
     scans = PeerScans(ObservationModel(box, skin, SkinConfig().full_scale_depth_m), 40)
     rows = [row for n in SIZES for row in measure(scans, n)]
     print(f"{'filter':34s} {'N':>7s} {'ms':>9s} {'budget':>8s} {'ours is':>10s}")

@@ -14,8 +14,8 @@ from taxeld.advice.lines import Reach
 from taxeld.commands.advise import advise
 from taxeld.commands.replay import Replay
 from taxeld.config.file import load as load_config
+from taxeld.config.gate import ConfigError
 from taxeld.config.tables import Config, FilterConfig, SkinConfig
-from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
 from taxeld.estimator.estimator import Estimator

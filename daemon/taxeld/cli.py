@@ -12,8 +12,8 @@ from taxeld import command_line
 from taxeld.command_line import FAILED, Commands, command, documented
 from taxeld.config.endpoints import for_this_user
 from taxeld.config.file import load
+from taxeld.config.gate import ConfigError
 from taxeld.config.tables import LEVELS, ControlConfig
-from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.view import cli as view_cli
 

@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 from taxeld import __version__
 from taxeld.config import gone
-from taxeld.config.toml_tables import ConfigError
+from taxeld.config.gate import ConfigError
 from taxeld.errors import SetupError
 
 FAILED, USAGE_ERROR = 1, 2

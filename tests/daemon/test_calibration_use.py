@@ -94,8 +94,6 @@ def test_measured_noise_takes_the_place_of_defaults_and_of_nothing_else(skin: La
     used = calibrated(config_of(), calibration)
     assert (used.filter.noise_sigma, used.filter.gain_cv) == (0.045, 0.11)
     assert used.skin.full_scale_counts == calibration.full_scale_counts
-    own = calibrated(config_of("noise_sigma = 0.07"), calibration)
-    assert (own.filter.noise_sigma, own.filter.gain_cv) == (0.07, 0.11)
     assert calibrated(config_of(), None).filter == usual
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from taxeld.config import endpoints
 from taxeld.config.file import parse
-from taxeld.config.toml_tables import ConfigError
+from taxeld.config.gate import ConfigError
 from taxeld.stream.curve import takes_keys
 
 MINIMAL = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'

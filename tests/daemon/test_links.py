@@ -10,7 +10,6 @@ import pytest
 from taxeld.commands import check, replay
 from taxeld.commands.record import recorder_of
 from taxeld.config.file import load, parse
-from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.pipeline.freshness import Why
@@ -32,46 +31,6 @@ def links(*tables: str) -> str:
 
 def source(device: Path) -> str:
     return f'source = {{kind = "serial", channel = "{device}", period_ms = 10}}'
-
-
-@pytest.mark.parametrize(
-    ("tables", "fault"),
-    [
-        (('name = "a"', 'name = "a"'), "skin[1].name: 'a' is that of skin[0] already"),
-        (
-            ('calibration = "a.toml"', 'calibration = "a.toml"'),
-            "skin[1].calibration: 'a.toml' is that of skin[0] already",
-        ),
-        (("", 'layuot = "x"'), "skin[1].layuot: unknown key; did you mean layout?"),
-        (
-            ("", "source = {chanel = 1}"),
-            "skin[1].source.chanel: unknown key; did you mean channel?",
-        ),
-        (("", 'source = {channel = "x"}'), "skin[1].source.kind: is required"),
-        (("", 'name = "../x"'), "skin.name: must be the name of a directory, without /"),
-    ],
-)
-def test_what_is_wrong_with_several_links_is_named_by_its_path(
-    tables: tuple[str, ...], fault: str
-) -> None:
-    text = '[source]\nkind = "can"\nchannel = "can0"\n' + links(*tables)
-    with pytest.raises(ConfigError) as raised:
-        parse(text)
-    assert raised.value.faults == [fault]
-
-
-def test_poses_of_two_links_come_by_two_topics() -> None:
-    text = '[source]\nkind = "can"\nchannel = "can0"\n[sensor_pose]\nendpoint = "tcp://x:1"\n'
-    with pytest.raises(ConfigError, match=r"skin\[1\]\.sensor_pose\.topic"):
-        parse(text + links("", ""))
-
-
-def test_one_link_in_an_array_of_tables_is_the_one_skin() -> None:
-    text = f'[source]\nkind = "can"\nchannel = "can0"\n{HEAD}'
-    one, same = parse(text + "[skin]\nlearn = false"), parse(text + "[[skin]]\nlearn = false")
-    assert same.source == one.source
-    assert same.skin.layout == one.skin.layout
-    assert not same.skin.learn
 
 
 class TwoHubs:

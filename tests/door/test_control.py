@@ -123,7 +123,7 @@ def test_only_members_of_the_group_change_anything(
     assert answers["tare"]["ok"] is may
     refusal = f"tare: is for members of the group {group}: sudo usermod -aG {group} USER"
     if number == 0:
-        refusal = "tare: is for the daemon's own user; control.group (root) is no group here, or "
+        refusal = "tare: is for the daemon's own user; root is no group here, or "
     assert may or answers["tare"]["error"].startswith(refusal)
     assert stand.done == ["tare"] * may
 

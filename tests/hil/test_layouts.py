@@ -43,7 +43,7 @@ def test_a_bundle_on_another_layout_is_its_object_at_that_layouts_heights() -> N
     shipped, same, other = (
         bundled.on_layout("box", spec) for spec in (DEMO.skin_layout, more, wrap)
     )
-    assert (shipped.order[0], same.order, other.order) == ("density-64", ["table"], ["table"])
+    assert (shipped.order[0], same.order, other.order) == ("density-64", ("table",), ("table",))
     assert np.array_equal(same.model.scene.slices, shipped.model.scene.slices)
     assert len(other.model.scene.heights) == 4
     assert other.model.depth_max_m == shipped.model.depth_max_m

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taxeld.arrays import Floats, Poses
-from taxeld.config.toml_tables import ConfigError, Given
+from taxeld.config.gate import ConfigError, Given
 from taxeld.model import se2
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL
@@ -305,15 +305,15 @@ def test_a_scenario_names_a_skin_and_replaces_single_keys_of_it(tmp_path: Path) 
     ("text", "fault"),
     [
         ('physics = "mesh"', "physics: must be one of scene, typical, poor, stiff, not 'mesh'"),
-        ("[mesh]\nsag_m = 0.003", "mesh.sag_m: must be a list of 2 (float), not 0.003"),
+        ("[mesh]\nsag_m = 0.003", "mesh.sag_m: must be a list of 2, not 0.003"),
         ("[mesh]\nsag_m = [0.003, 0.001]", r"mesh.sag_m: must be \[median, 90th percentile\]"),
         ("[mesh]\nresidue = [0.0, 0.1]", r"mesh.residue: must be \[0, 0\] or of a median over 0"),
         ("[mesh]\ncreep = 0.1", "mesh.creep: unknown key; known: taxel_radius_m"),
-        ("mesh = 3", r"mesh: must be a table \[mesh\]"),
+        ("mesh = 3", "mesh: must be a table, not 3"),
     ],
 )
 def test_a_wrong_skin_is_refused_with_what_is_wrong_and_where(
     text: str, fault: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(ConfigError, match=fault.replace("(float)", r"\(float\)")):
+    with pytest.raises(ConfigError, match=fault):
         written(text, tmp_path)

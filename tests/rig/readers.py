@@ -27,7 +27,7 @@ from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
-from taxeld.proposals import bundle, manifest, scene_file, several
+from taxeld.proposals import bundle, manifest, several
 from taxeld.proposals.analytic import Manifold, Projection, check_contacts
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.sampler import Sampler
@@ -188,7 +188,7 @@ READERS = {
     ),
     "bundle.json": Reader(manifest_used, lambda: [(SHIPPED / "bundle.json").read_bytes()]),
     "scene.npz": Reader(
-        lambda content: scene_used(scene_file.parse(content, NOWHERE)),
+        lambda content: scene_used(manifest.parse_scene(content, NOWHERE)),
         lambda: [(SHIPPED / "scene.npz").read_bytes()],
         30,
     ),

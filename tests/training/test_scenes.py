@@ -10,7 +10,7 @@ import trimesh
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model.scene import CONTINUOUS, Scene
-from taxeld.proposals import scene_file
+from taxeld.proposals import manifest
 from taxeld_hil.objects import meshes, scenes
 from taxeld_hil.objects.scenes import GridError, grid_error
 
@@ -94,8 +94,8 @@ def test_a_slice_above_the_object_is_far_and_a_skin_above_all_of_it_is_refused()
 
 def test_a_scene_survives_its_file(tmp_path: Path) -> None:
     scene = scenes.build(box(0.06, 0.16), SKIN, 0.04)
-    scene_file.save(scene, tmp_path / "scene.npz")
-    again = scene_file.load(tmp_path / "scene.npz")
+    manifest.save_scene(scene, tmp_path / "scene.npz")
+    again = manifest.parse_scene((tmp_path / "scene.npz").read_bytes(), tmp_path)
     assert np.array_equal(again.slices, scene.slices)
     assert again.symmetry == scene.symmetry
     assert np.array_equal(again.surface, scene.surface)

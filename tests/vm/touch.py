@@ -39,8 +39,8 @@ bundle = "box"
 endpoint = "{POSES}"
 [loop]
 rate_hz = 10.0
-[budget]
-propose_ms = 1000.0
+[filter]
+proposal = "density-64"
 [relay]
 publish = ["{OVER_TCP}"]
 """

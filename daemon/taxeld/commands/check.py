@@ -10,14 +10,13 @@ from pathlib import Path
 
 import zmq
 
-from taxeld.config import endpoints, links
+from taxeld.config import endpoints
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.door.binding import Binding, NotNowError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle, choice, several
-from taxeld.proposals.manifest import FilterEntry
 from taxeld.service import calibration_file
 from taxeld.source.buses import check_uids, joint
 from taxeld.source.device import BusyError
@@ -60,7 +59,7 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
 
     def use_layouts() -> None:
         skins = [layouts.load(one.skin.layout) for one in config.each]
-        for bus, numbers in links.buses(config):
+        for bus, numbers in config.buses:
             own = [skins[k] for k in numbers]
             attempt(check_uids, [config.names[k] for k in numbers], own)
             if bus.kind != "array":
@@ -71,7 +70,7 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
             attempt(calibration_file.load, one.skin, skin, time.time())
 
     attempt(use_layouts)
-    for bus, _ in links.buses(config):
+    for bus, _ in config.buses:
         # python-can's drivers have no error of their own for a device in use
         is_silent_on_use = bus.interface not in ("socketcan", "slcan")
         may_be_used = is_running and bus.kind == "can" and is_silent_on_use
@@ -103,7 +102,7 @@ def notes(config: Config) -> list[str]:
 def _sizes(config: Config) -> list[str]:
     """Whose numbers of particles and samples hold, where a bundle says how many were enough."""
     found = [bundle.manifest_of(name) for name in config.scene.names]
-    if all(one.filter == FilterEntry() for one in found):
+    if not any(one.filter.keys for one in found):
         return []
     whose = "this configuration says" if config.is_sized else "was enough when the bundle was built"
     now = several.sized(config, found).filter

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from taxeld.config import file as config_file
-from taxeld.config import toml_tables
+from taxeld.config import gate
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source import logs, module_order, session
@@ -38,7 +38,7 @@ def of_session(path: Path) -> Listed:
     if path.name in (session.FRAMES, session.SERIAL):
         if (file := path.with_name(module_order.FILE)).exists():
             text = f'kind = "can"\n{config_file.text_of(file)}'
-            return toml_tables.parse(SourceConfig, text, str(file)).modules
+            return gate.parse(SourceConfig, text, str(file)).modules
         if (config := path.with_name(session.CONFIG)).exists():
             return config_file.load(config).source.modules
     return ()

@@ -4,13 +4,14 @@ import json
 import os
 import sys
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from taxeld.config import file as config_file
+from taxeld.config import gate
+from taxeld.config.gate import ConfigError
 from taxeld.config.tables import Config, SkinConfig, SourceConfig
-from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.layout import generated
 from taxeld.layout import read as layouts
@@ -66,10 +67,10 @@ def _text(path: Path, given: Tables) -> str:
         "# The link that carries the skin must stand upright, its axis within 0.1 rad of vertical;",
         "# a daemon cannot notice that it is tilted.",
     ]
-    for table in (each for each in fields(Config) if "tables" not in each.metadata):
+    for table in gate.keys_of(Config):
         text += ["", f"[{table.name}]"]
         values = given.get(table.name, {})
-        for key in fields(get_type_hints(Config)[table.name]):
+        for key in gate.keys_of(get_type_hints(Config)[table.name]):
             default = "" if key.default is MISSING else key.default
             mark = "" if key.name in values else "#"
             text.append(f"# {key.metadata['doc']}")

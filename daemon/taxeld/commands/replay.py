@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from taxeld.arrays import Floats, Poses
-from taxeld.config import links
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
@@ -168,7 +167,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
         SetupError: the session cannot be read, or its modules' order is unknown.
     """
     config, streams, firsts = pipeline.config, [], list[float]()
-    for source, numbers in links.buses(config):
+    for source, numbers in config.buses:
         place = _place(directory, config, numbers[0])
         if numbers[0] and not place.is_dir():  # nothing came from this link
             continue

@@ -11,13 +11,12 @@ from pathlib import Path
 
 IPC = "ipc://"
 TCP = "tcp://"
-UDP = "udp://"
 IPC_PATH_MAX = 107  # bytes of a path that fit a socket's address on Linux
 FORMS = "ipc:///path or tcp://127.0.0.1:port"
 RUNTIME = Path("/run/taxeld")
 
 
-def fault(endpoint: str, has_keys: bool) -> str | None:
+def fault(endpoint: str, has_keys: bool = False) -> str | None:
     """Why `endpoint` is refused, with the cure; beyond this machine it needs keys."""
     if endpoint.startswith(IPC):
         path = endpoint.removeprefix(IPC)
@@ -32,22 +31,6 @@ def fault(endpoint: str, has_keys: bool) -> str | None:
     if has_keys or is_local(endpoint):
         return None
     return f"'{endpoint}' is not local; use {FORMS}, or set curve.directory"
-
-
-def served_fault(endpoint: str, relay_key: str) -> str | None:
-    """Why `endpoint` is not served here; `relay_key` names the key for TCP endpoints."""
-    if endpoint.startswith(TCP):
-        return f"'{endpoint}' is of TCP: name it in {relay_key}; here stands ipc:///path alone"
-    return fault(endpoint, has_keys=False)
-
-
-def array_fault(endpoint: str) -> str | None:
-    """Why arrays cannot be heard by `endpoint`; none come from beyond this machine."""
-    if endpoint.startswith(UDP):
-        return (
-            f"'{endpoint}' is of UDP, which is gone; have the sender bind a ZeroMQ PUB at {FORMS}"
-        )
-    return fault(endpoint, has_keys=False)
 
 
 def for_this_user(endpoint: str) -> str:

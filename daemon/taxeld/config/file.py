@@ -1,42 +1,53 @@
 """The configuration file: reading, and checks across keys."""
 
-from dataclasses import fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from taxeld import files
-from taxeld.config import endpoints, links, toml_tables
-from taxeld.config.tables import SIZES, Config, SourceConfig
-from taxeld.config.toml_tables import ConfigError
+from taxeld.config import endpoints, gate
+from taxeld.config.gate import ConfigError
+from taxeld.config.tables import (
+    KINDS,
+    LINKS_MAX,
+    SIZES,
+    Config,
+    FilterConfig,
+    LinkConfig,
+    SkinConfig,
+)
 
 CONFIG_BYTES = 64_000  # ten times the length of a file from `taxeld init`, with all comments
 TOML_BYTES = 1_000_000  # limit for any other TOML file; a calibration has a line for each taxel
 SHIPPED = Path(__file__).parents[1] / "bundles"
 
+Skin = TypeVar("Skin", bound=SkinConfig)
+
 
 def load(path: Path) -> Config:
-    """Read and validate a configuration file.
+    """Read and validate a configuration file. Paths in it start at its directory, and the service's
+    endpoints give way to the user's own where they are closed to this user.
 
     Raises:
         ConfigError: all faults at once.
     """
-    config = _for_this_user(parse(text_of(path, CONFIG_BYTES), str(path)))
-    skin, scene = config.skin, config.scene
-    if skin.calibration:
-        # an absolute path stays unchanged
-        skin = replace(skin, calibration=str(path.parent / skin.calibration))
-    skin = replace(skin, layout=_beside(path, skin.layout))
-    further = tuple(
-        replace(
-            link,
-            layout=_beside(path, link.layout),
-            calibration=str(path.parent / link.calibration) if link.calibration else "",
-        )
-        for link in config.links
+    config = parse(text_of(path, CONFIG_BYTES), str(path))
+
+    def placed(skin: Skin) -> Skin:
+        calibration = skin.calibration and str(path.parent / skin.calibration)
+        return replace(skin, layout=_beside(path, skin.layout), calibration=calibration)
+
+    scene, own = config.scene, endpoints.for_this_user
+    bundles = tuple(_beside(path, name, SHIPPED) for name in scene.bundles)
+    return replace(
+        config,
+        skin=placed(config.skin),
+        links=tuple(placed(link) for link in config.links),
+        scene=replace(scene, bundle=_beside(path, scene.bundle, SHIPPED), bundles=bundles),
+        publish=replace(config.publish, endpoints=tuple(map(own, config.publish.endpoints))),
+        control=replace(config.control, endpoint=own(config.control.endpoint)),
     )
-    several = tuple(_beside(path, name, SHIPPED) for name in scene.bundles)
-    scene = replace(scene, bundle=_beside(path, scene.bundle, SHIPPED), bundles=several)
-    return replace(config, skin=skin, scene=scene, links=further)
 
 
 def text_of(path: Path, most: int = TOML_BYTES) -> str:
@@ -60,14 +71,29 @@ def parse(text: str, name: str = "configuration") -> Config:
     Raises:
         ConfigError: all faults at once.
     """
-    config = links.completed(toml_tables.parse(Config, text, name))
-    given = toml_tables.loads(text).get("filter", {})
-    config = replace(config, is_sized=not given.keys().isdisjoint(SIZES))
-    faults: list[str] = links.faults(config)
-    _check_source(config.source, faults)
-    _check_scene(config, faults)
-    _check_endpoints(config, faults)
-    if faults:
+    try:
+        data = gate.loads(text)
+    except ValueError as error:
+        raise ConfigError([f"{name}: {error}"]) from None
+    faults: list[str] = []
+    links: tuple[LinkConfig, ...] = ()
+    own = None  # the source of the first of several links
+    if isinstance(tables := data.get("skin"), list):
+        links = gate.value(tuple[LinkConfig, ...], tables, faults, "skin")
+        own = links[0].source if links and links[0] else None
+        data = ({"source": {"kind": KINDS[0]}} if own else {}) | data | {"skin": {}}
+    config = gate.take(Config, data, faults)
+    if config is None or faults:
+        raise ConfigError(faults)
+    if links:
+        common = own if own and "source" not in gate.loads(text) else config.source
+        links = tuple(
+            replace(link, name=link.name or f"link{k}", source=link.source or common)
+            for k, link in enumerate(links, 1)
+        )
+        config = replace(config, links=links, skin=links[0], source=links[0].source or common)
+    config = replace(config, is_sized=not data.get("filter", {}).keys().isdisjoint(SIZES))
+    if faults := list(_faults(config)):
         raise ConfigError(faults)
     return config
 
@@ -84,66 +110,75 @@ def _beside(path: Path, name: str, shipped: Path | None = None) -> str:
         return name
 
 
-def _check_source(source: SourceConfig, faults: list[str]) -> None:
-    if source.kind in ("can", "serial") and not source.channel:
-        faults.append(f"source.channel: is required for kind '{source.kind}'")
-    if source.kind == "array":
-        fault = endpoints.array_fault(source.endpoint)
-        if fault:
-            faults.append(f"source.endpoint: {fault}")
-
-
-def _check_scene(config: Config, faults: list[str]) -> None:
-    scene, learned = config.scene, config.filter
-    if not scene.names:
-        faults += [
-            f"{key}: needs an object: name it in scene.bundle, or leave this out"
-            for key in _of_objects(config)
-        ]
-        return
-    if scene.bundle and scene.bundles:
-        faults.append("scene.bundles: is given beside scene.bundle; keep one of the two")
-    if len(scene.names) == 1:
-        return
-    cure = "name one scene.bundle"
-    if learned.injection == "paper":
-        faults.append(f"filter.injection: 'paper' knows one object: {cure}")
-    if learned.motion == "push":
-        faults.append(f"filter.motion: a pushed object must be known: {cure}")
-
-
-def _of_objects(config: Config) -> list[str]:
-    """Keys that are set and mean nothing without an object."""
-    found = list[str]()
-    tables: dict[str, Any] = {name: getattr(config, name) for name in ("filter", "budget")}
-    for name, table in tables.items():
-        usual = type(table)()
-        keys = (each.name for each in fields(table))
-        found += [f"{name}.{key}" for key in keys if getattr(table, key) != getattr(usual, key)]
-    return found
-
-
-def _check_endpoints(config: Config, faults: list[str]) -> None:
+def _faults(config: Config) -> Iterator[str]:
+    """What is wrong with keys together, a line each."""
+    for source, (link, *_) in config.buses:
+        at = f"skin[{link}]." if link else ""
+        if source.kind != "array" and not source.channel:
+            yield f"{at}source.channel: is required for kind '{source.kind}'"
+        elif source.kind == "array" and (fault := endpoints.fault(source.endpoint)):
+            yield f"{at}source.endpoint: {fault}"
+    yield from _scene_faults(config)
+    yield from _link_faults(config)
+    has_keys = bool(config.curve.directory)
     for key, relay_key, named in (
         ("publish.endpoints", "relay.publish", config.publish.endpoints),
         ("control.endpoint", "relay.control", (config.control.endpoint,)),
+        ("sensor_pose.endpoint", "", (config.sensor_pose.endpoint,)),
+        ("relay.publish", "", config.relay.publish),
+        ("relay.control", "", (config.relay.control,)),
     ):
-        found = (endpoints.served_fault(each, relay_key) for each in named if each)
-        faults += [f"{key}: {fault}" for fault in found if fault]
-    for key, named in (
-        ("sensor_pose.endpoint", (config.sensor_pose.endpoint,)),
-        ("relay.publish", config.relay.publish),
-        ("relay.control", (config.relay.control,)),
-    ):
-        found = (endpoints.fault(each, bool(config.curve.directory)) for each in named if each)
-        faults += [f"{key}: {fault}" for fault in found if fault]
+        for endpoint in filter(None, named):
+            if relay_key and endpoint.startswith(endpoints.TCP):
+                yield (
+                    f"{key}: '{endpoint}' is of TCP: name it in {relay_key}; "
+                    "here stands ipc:///path alone"
+                )
+            elif fault := endpoints.fault(endpoint, has_keys):
+                yield f"{key}: {fault}"
 
 
-def _for_this_user(config: Config) -> Config:
-    """The configuration with the user's own endpoints where the service's are closed to them."""
-    own = endpoints.for_this_user
-    return replace(
-        config,
-        publish=replace(config.publish, endpoints=tuple(map(own, config.publish.endpoints))),
-        control=replace(config.control, endpoint=own(config.control.endpoint)),
-    )
+def _scene_faults(config: Config) -> Iterator[str]:
+    scene, own, usual = config.scene, config.filter, FilterConfig()
+    if not scene.names:
+        for key in gate.keys_of(FilterConfig):
+            if getattr(own, key.name) != getattr(usual, key.name):
+                yield (
+                    f"filter.{key.name}: needs an object: name it in scene.bundle, "
+                    "or leave this out"
+                )
+    if scene.bundle and scene.bundles:
+        yield "scene.bundles: is given beside scene.bundle; keep one of the two"
+    if len(scene.names) > 1 and own.injection == "paper":
+        yield "filter.injection: 'paper' knows one object: name one scene.bundle"
+    if len(scene.names) > 1 and own.motion == "push":
+        yield "filter.motion: a pushed object must be known: name one scene.bundle"
+
+
+def _link_faults(config: Config) -> Iterator[str]:
+    links, buses = config.links, config.buses
+    if len(links) > LINKS_MAX:
+        yield f"skin: has {len(links)} links; {LINKS_MAX} at most"
+    for key, values in (
+        ("name", config.names),
+        ("calibration", [link.calibration for link in links]),
+        ("sensor_pose.topic", config.topics if config.sensor_pose.endpoint else ()),
+    ):
+        for j, k in _twice(values):
+            yield f"skin[{k}].{key}: {values[k]!r} is that of skin[{j}] already"
+    for j, k in _twice([source.where and f"{source.kind} {source.where}" for source, _ in buses]):
+        (one, (link, *_)), (_, (other, *_)) = buses[j], buses[k]
+        yield (
+            f"skin[{other}].source: {one.kind} {one.where} is of {links[link].name} already, "
+            "with other keys; name it in [source], for both"
+        )
+    if sum(source.kind == "array" for source, _ in buses) > 1:
+        yield "skin.source: one array is heard at most; give the others a bus"
+    if any(link.name in (".", "..") or "/" in link.name for link in links):
+        yield "skin.name: must be the name of a directory, without /"
+
+
+def _twice(values: Sequence[str]) -> list[tuple[int, int]]:
+    """Numbers of values that are equal and not empty: the first and each further one."""
+    firsts = [values.index(value) for value in values]
+    return [(j, k) for k, j in enumerate(firsts) if j != k and values[k]]

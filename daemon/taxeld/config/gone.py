@@ -6,6 +6,7 @@ emptied at the next minor version.
 """
 
 ICUB = "an iCub's skin comes as an array (docs/array.md)"
+MEASURED = "'taxeld calibrate' measures it, and skin.calibration has its figure"
 SESSION = "'taxeld replay DIR' plays a session, and 'taxeld view DIR' shows it"
 
 GONE: dict[str, str] = {
@@ -22,6 +23,12 @@ GONE: dict[str, str] = {
     'source.kind = "replay"': SESSION,
     "source.path": SESSION,
     "source.framing": 'an SLCAN adapter is kind = "can", interface = "slcan"',
+    "skin.learn": "it is on; no experiment has shown that it costs touches",
+    "budget": "auto takes the bundle's first that needs 5 ms; filter.proposal names another",
+    "filter.noise_sigma": MEASURED,
+    "filter.gain_cv": MEASURED,
+    "filter.keep_s": "10 minutes; 'taxeld reset' forgets what was felt, and so does a start later",
+    "control.group": "members of the group taxeld-control may tare and reset",
     "--dialect": ICUB,
     "taxeld watch": "'taxeld status' prints what a daemon believes, 'taxeld view' draws it",
     "taxeld-hil watch": "'taxeld status' prints what a daemon believes, 'taxeld view' draws it",

@@ -4,57 +4,53 @@ Names of keys end in their units.
 """
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TypeVar
 
-from taxeld.config.toml_tables import Given, between, key, one_of, unwritten
+from taxeld.config.gate import between, key, one_of, unwritten
 from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
 from taxeld_protocol.slcan import BITRATES
 
+T = TypeVar("T")
+
 SIZES = ("particles", "particles_max", "injected")  # keys of the filter's size
 OBJECTS_MAX = 16  # objects that one skin may touch
+LINKS_MAX = 8
 KINDS = ("can", "serial", "array")  # of sources
 LEVELS = ("debug", "info", "warning", "error")  # levels of the log
+SENSOR_POSE = "/robot/sensor_pose"  # a single link's topic
 
 
 def _modules(modules: tuple[tuple[int, ...], ...]) -> str | None:
     for entry in modules:
-        fault = _module(entry)
-        if fault:
-            return f"{list(entry)}: {fault}"
-    if len({len(entry) for entry in modules}) > 1:
-        return "must name the hub of every module, or of none"
-    suis = Counter(sui for sui, mask, *_ in modules if mask)
-    hubs = Counter(hub for _, _, *hubs in modules for hub in hubs or [0])
-    twice = [sui for sui, times in suis.items() if times > 1]
-    if twice:
+        if len(entry) not in (2, 3) or len(entry) != len(modules[0]):
+            return f"{list(entry)}: must be [SUI, mask], or all [SUI, mask, hub]"
+        sui, mask, hub = (*entry, 1)[:3]
+        if not 0 <= sui < 1 << 32:
+            return f"{list(entry)}: {sui} is no serial number (0..4294967295)"
+        if not 0 <= mask <= ALL_NAMES:
+            return f"{list(entry)}: {mask:#x} is no mask of uncut taxels (0..{ALL_NAMES:#x})"
+        if not 0 < hub < BROADCAST:
+            return f"{list(entry)}: {hub} is no short id of a hub (1..{BROADCAST - 1})"
+    if twice := _twice(sui for sui, mask, *_ in modules if mask):
         return f"lists module {twice[0]} more than once"
-    if max(hubs.values(), default=0) > MAX_MODULES:
+    if max(Counter(tuple(hub) for _, _, *hub in modules).values(), default=0) > MAX_MODULES:
         return f"lists more than the {MAX_MODULES} modules that a hub can have"
     return None
 
 
-def _module(entry: tuple[int, ...]) -> str | None:
-    if len(entry) not in (2, 3):
-        return "must be [SUI, mask] or [SUI, mask, hub]"
-    sui, mask, *hub = entry
-    if not 0 <= sui < 1 << 32:
-        return f"{sui} is no serial number (0..4294967295)"
-    if not 0 <= mask <= ALL_NAMES:
-        return f"{mask:#x} is no mask of uncut taxels (0..{ALL_NAMES:#x}, bit 0 is T0)"
-    if hub and not 0 < hub[0] < BROADCAST:
-        return f"{hub[0]} is no short id of a hub (1..{BROADCAST - 1})"
-    return None
-
-
 def _bundles(bundles: tuple[str, ...]) -> str | None:
-    twice = [name for name, times in Counter(bundles).items() if times > 1]
-    if twice:
+    if twice := _twice(bundles):
         return f"names {twice[0]!r:.100} more than once"
     if len(bundles) > OBJECTS_MAX:
         return f"names {len(bundles)} objects; {OBJECTS_MAX} are told apart at most"
     return None
+
+
+def _twice(values: Iterable[T]) -> list[T]:
+    return [value for value, times in Counter(values).items() if times > 1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +71,12 @@ class SkinConfig:
         "", doc="where the baseline is kept over restarts; empty: $STATE_DIRECTORY, or nowhere"
     )
     missing_modules: int = key(
-        0, between(0, 65535), "modules of the layout that the hubs may lack; with more, not valid"
+        0, between(0, 65535), "estimates stay valid while at most so many modules are missing"
     )
-    learn: bool = key(True, doc="whether sure estimates teach how each taxel responds")
     calibration: str = key(
         "", doc="what taxeld calibrate wrote, relative to this file; empty: none is used"
     )
+    learn: bool = unwritten(default=True)  # sure estimates teach how each taxel responds
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +131,7 @@ class SensorPoseConfig:
 
 @dataclass(frozen=True, slots=True)
 class LinkPoseConfig:
-    topic: str = key("", doc="the robot's topic for this link; empty: /robot/sensor_pose")
+    topic: str = key(SENSOR_POSE, doc="the robot's topic for this link")
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +139,7 @@ class LinkConfig(SkinConfig):
     """`[[skin]]`: the skin of one of several links, which touch the same object."""
 
     name: str = key("", doc="of the link; empty: link1, link2, …")
-    source: Given[SourceConfig] = field(default_factory=Given)
+    source: SourceConfig | None = None  # None: that of [source]
     sensor_pose: LinkPoseConfig = field(default_factory=LinkPoseConfig)
 
 
@@ -160,24 +156,13 @@ class LoopConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class BudgetConfig:
-    """`[budget]`: time for samples."""
-
-    propose_ms: float = key(
-        5.0, between(0.01, 1000), "a proposal; auto chooses by it, measured at start"
-    )
-
-
-@dataclass(frozen=True, slots=True)
 class FilterConfig:
     """`[filter]`: the belief and what it learns from."""
 
     particles: int = key(100, between(2, 100_000), "N, at least")
     particles_max: int = key(400, between(2, 100_000), "N while the belief is wide, at most")
     injected: int = key(50, between(0, 10_000), "S, samples a touch brings")
-    proposal: str = key(
-        "auto", doc="where they come from; auto: the bundle's best that fits the budget"
-    )
+    proposal: str = key("auto", doc="where they come from; auto: the bundle's first that is fast")
     injection: str = key(
         "mixture",
         one_of("mixture", "paper"),
@@ -188,18 +173,14 @@ class FilterConfig:
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")
     half_width_m: float = key(0.5, between(0.01, 100), "of that square, world frame")
-    # a soft skin's readings differ by this much from expected ones (docs/physics.md)
-    noise_sigma: float = key(0.04, between(1e-4, 1), "sd of an activation")
-    gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
     within_m: float = key(
         0.01, between(0.001, 0.1), "p of an estimate: how likely its pose is this near the true one"
     )
-    keep_s: float = key(
-        600.0,
-        between(0, 86_400),
-        "what was felt is kept in skin.state_dir, and used by a start that comes so soon; 0: never",
-    )
     risk: float = key(1e-3, between(1e-6, 0.5), "of being farther from it than radius_m, at most")
+    # a soft skin's readings differ by this much from expected ones (docs/physics.md);
+    # a calibration has its own figures
+    noise_sigma: float = unwritten(0.04)  # sd of an activation
+    gain_cv: float = unwritten(0.17)  # spread of the taxels' gains
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,9 +195,6 @@ class PublishConfig:
 @dataclass(frozen=True, slots=True)
 class ControlConfig:
     endpoint: str = key("ipc:///run/taxeld/control", doc="REP endpoint, ipc alone; empty: none")
-    group: str = key(
-        "taxeld-control", doc="its members may tare and reset, beside root and the daemon's user"
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,38 +220,29 @@ class LogConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
-    """A whole configuration, table by table."""
+    """A whole configuration, table by table. With several links the first one stands in `skin` and
+    `source` as well."""
 
     scene: SceneConfig = field(default_factory=SceneConfig)
     source: SourceConfig
     skin: SkinConfig = field(default_factory=SkinConfig)
     sensor_pose: SensorPoseConfig = field(default_factory=SensorPoseConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
-    budget: BudgetConfig = field(default_factory=BudgetConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     relay: RelayConfig = field(default_factory=RelayConfig)
     curve: CurveConfig = field(default_factory=CurveConfig)
     log: LogConfig = field(default_factory=LogConfig)
-    links: tuple[LinkConfig, ...] = field(default=(), metadata={"tables": "skin"})
+    links: tuple[LinkConfig, ...] = unwritten(())
     is_sized: bool = unwritten(default=False)  # whether the file gives any of SIZES
-
-    @staticmethod
-    def filled(data: dict[str, Any]) -> dict[str, Any]:
-        """The tables with the first link's source in place of one for all."""
-        match data:
-            case {"skin": [{"source": own}, *_]} if "source" not in data:
-                return data | {"source": own}
-        return data
 
     def of_link(self, number: int) -> "Config":
         """The configuration as if this link were the only one."""
         if not self.links:
             return self
         link = self.links[number]
-        own = link.source.over(SourceConfig("can")) if link.source.keys else self.source
-        return replace(self, skin=link, source=own, links=())
+        return replace(self, skin=link, source=link.source or self.source, links=())
 
     @property
     def each(self) -> "list[Config]":
@@ -287,5 +256,17 @@ class Config:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """The topics of the links' sensor poses; empty: the usual one."""
-        return tuple(link.sensor_pose.topic for link in self.links) or ("",)
+        """The topics of the links' sensor poses; empty: there is one skin, and its topic."""
+        return tuple(link.sensor_pose.topic for link in self.links)
+
+    @property
+    def buses(self) -> list[tuple[SourceConfig, list[int]]]:
+        """Each source with the numbers of the links on it, that of the first link first."""
+        found: list[tuple[SourceConfig, list[int]]] = []
+        for k, one in enumerate(self.each):
+            on_it = next((links for source, links in found if source == one.source), None)
+            if on_it is None:
+                found.append((one.source, [k]))
+            else:
+                on_it.append(k)
+        return found

@@ -140,7 +140,7 @@ def for_members(group: str) -> MayChange:
     )
     if number <= 0:  # nobody is to join root's group
         refusal = (
-            f"is for the daemon's own user; control.group ({group}) is no group here, or root's"
+            f"is for the daemon's own user; {group or 'the group'} is no group here, or root's"
         )
 
     def why_not(frame: zmq.Frame) -> str:

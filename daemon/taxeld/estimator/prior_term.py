@@ -45,13 +45,13 @@ class PriorTerm:
 
     def __init__(self, pose: PosePrior, table: TableTop, step: int) -> None:
         self.pose, self.table, self.step = pose, table, step
-        metric, self._theta = table.metric, pose.theta
+        metric, self._theta = table.metric, pose.theta or 0.0
         cov = np.reshape(pose.cov, (3, 3))
         # a yaw that is as wide as the turns that differ is none
-        wide = np.isnan(pose.theta) or np.sqrt(cov[2, 2]) > table.turns / 4.0
+        wide = pose.theta is None or np.sqrt(cov[2, 2]) > table.turns / 4.0
         self._has_yaw = not wide and metric.order != CONTINUOUS
         self._centre = np.array([pose.x, pose.y])
-        if not np.isnan(pose.theta):
+        if pose.theta is not None:
             self._centre = metric.centres(np.array([pose.x, pose.y, pose.theta]))
         used = 3 if self._has_yaw else 2
         self._cov = cov[:used, :used]

@@ -12,7 +12,7 @@ from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals import manifest, scene_file
+from taxeld.proposals import manifest
 from taxeld.proposals.analytic import ANALYTIC, Table, check_contacts
 from taxeld.proposals.manifest import LinkEntry, Manifest, SamplerEntry
 
@@ -51,9 +51,9 @@ class Bundle:
         raise SetupError(f"filter.proposal: {self.path.name} has no '{name}'; it has {known}")
 
     @property
-    def order(self) -> list[str]:
+    def order(self) -> tuple[str, ...]:
         """Proposals by preference, the first choice of `auto` first."""
-        return self.manifest.auto or [Table.name]
+        return self.manifest.auto or (Table.name,)
 
     @property
     def choices(self) -> list[str]:
@@ -147,7 +147,7 @@ def load(
         first = ObservationModel(first.scene, layout, found.depth_max_m, more)
     if links[0].scene != manifest.SCENE:  # the samplers are of another link
         at, height_m = links[0].layout, links[0].height_m
-        found = replace(found, layout=at, height_m=height_m, samplers=[], auto=[Table.name])
+        found = replace(found, layout=at, height_m=height_m, samplers=(), auto=(Table.name,))
     return Bundle(path, found, info, files, first)
 
 
@@ -181,7 +181,7 @@ def _links(path: Path, found: Manifest, layouts: Sequence[Layout], key: str) -> 
 
 def _model(path: Path, data: bytes, layout: Layout, depth_max_m: float) -> ObservationModel:
     """The model of the scene in the file at `path` on a layout. Raises SetupError."""
-    scene = scene_file.parse(data, path)
+    scene = manifest.parse_scene(data, path)
     try:
         model = ObservationModel(scene, layout, depth_max_m)
         check_contacts(model)

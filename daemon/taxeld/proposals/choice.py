@@ -16,6 +16,7 @@ from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.samples import ClockNs, Samples
 
 AUTO = "auto"
+BUDGET_MS = 5.0  # CPU time for the samples of a touch
 TIMED_CALLS = 5  # calls whose median is the cost of a proposal
 
 
@@ -28,7 +29,7 @@ def samples(bundles: Sequence[Bundle], config: Config, clock: ClockNs) -> Sample
     if not bundles:
         return Samples(clock=clock)
     first = several.leading(bundles)
-    name, chosen = choose(first, config.filter, config.budget.propose_ms)
+    name, chosen = choose(first, config.filter, BUDGET_MS)
     each = [chosen if one is first else one.open(one.own(name)) for one in bundles]
     return Samples(each, clock)
 

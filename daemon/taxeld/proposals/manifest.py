@@ -1,25 +1,32 @@
-"""`bundle.json`: the description of a bundle, and the digests of its other files.
+"""The files of a bundle: `bundle.json`, which describes it and has the digests of the others, and
+`scene.npz`, the object.
 
-Each file is read once: the compared bytes are the ones that are parsed.
+Each file is read once: the compared bytes are the ones that are parsed. Nothing is ever unpickled.
 """
 
 import hashlib
+import io
 import json
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any
+
+import numpy as np
 
 from taxeld import files
-from taxeld.config.tables import FilterConfig
+from taxeld.config import gate
+from taxeld.config.gate import Given, between, key, one_of
+from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
+from taxeld.model.scene import Scene
 from taxeld.proposals.analytic import ANALYTIC
 
 NAME = "bundle.json"
 SCENE = "scene.npz"
 FORMAT = 3  # version 2 had no digests
 KINDS = ("density", "ddpm")  # kinds of samplers
-LARGEST = 1e18  # limit of numbers
-USUAL = FilterConfig()
+AGAIN = "build the bundle again"
+DEPTH = SkinConfig.__dataclass_fields__["full_scale_depth_m"].metadata["check"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +39,11 @@ class BuiltFor:
 
 @dataclass(frozen=True, slots=True)
 class LinkEntry:
-    """A further link for which a bundle was built."""
+    """A link for which a bundle was built."""
 
     layout: BuiltFor
-    height_m: float
-    scene: str  # the object at the heights of this link: a file
+    height_m: float = key(check=between(-10, 10))
+    scene: str = key()  # the object at the heights of this link: a file
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,19 +51,9 @@ class SamplerEntry:
     """A sampler of a bundle."""
 
     name: str
-    kind: str  # one of KINDS
-    file: str
-    flops: float  # operations of one call
-
-
-@dataclass(frozen=True, slots=True)
-class FilterEntry:
-    """Numbers of particles and samples that were enough for the object when the bundle was built,
-    as the configuration's keys of the same names."""
-
-    particles: int = USUAL.particles
-    particles_max: int = USUAL.particles_max
-    injected: int = USUAL.injected
+    kind: str = key(check=one_of(*KINDS))
+    file: str = key()
+    flops: float = key()  # operations of one call
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,39 +62,35 @@ class Manifest:
 
     object: str
     layout: BuiltFor
-    height_m: float
-    depth_max_m: float
     files: dict[str, str]  # name → SHA-256 of each file beside bundle.json
-    samplers: list[SamplerEntry]
-    auto: list[str]  # proposals by preference
-    links: list[LinkEntry] = field(default_factory=list)  # the first one's is `layout`
+    samplers: tuple[SamplerEntry, ...]
+    auto: tuple[str, ...]  # proposals by preference
+    height_m: float = key(check=between(-10, 10))
+    depth_max_m: float = key(check=DEPTH)
+    links: tuple[LinkEntry, ...] = ()  # further ones; the first one's is `layout`
     mesh: str = ""  # a file of the bundle with the mesh, where the object is not one of YCB's
-    filter: FilterEntry = field(default_factory=FilterEntry)
-
-    def __post_init__(self) -> None:
-        """Raises ValueError where the values do not belong together."""
-        for name in (*self.files, self.mesh):
-            if Path(name).name != name:
-                raise ValueError(f"files, mesh: {name!r:.70} is no file's name")
-        scenes = [link.scene for link in self.all_links]
-        for name in (*scenes, *(sampler.file for sampler in self.samplers)):
-            if name not in self.files:
-                raise ValueError(f"files has no SHA-256 of {name!r:.70}")
-        for sampler in self.samplers:
-            if sampler.kind not in KINDS:
-                raise ValueError(f"samplers: {sampler.kind!r:.70} is none of {', '.join(KINDS)}")
-        for key, given in asdict(self.filter).items():
-            fault = FilterConfig.__dataclass_fields__[key].metadata["check"](given)
-            if fault:
-                raise ValueError(f"filter.{key}: {fault}")
-        for name in self.auto:
-            if name not in {*ANALYTIC, *(sampler.name for sampler in self.samplers)}:
-                raise ValueError(f"auto: no such proposal or sampler: {name!r:.70}")
+    # as many particles and samples as were enough when the bundle was built
+    filter: Given[FilterConfig] = field(default_factory=Given)
 
     @property
     def all_links(self) -> list[LinkEntry]:
         """The links for which the bundle was built, the one that has the samplers first."""
         return [LinkEntry(self.layout, self.height_m, SCENE), *self.links]
+
+    @property
+    def fault(self) -> str:
+        """Why the values do not belong together; empty where they do."""
+        for name in (*self.files, self.mesh):
+            if Path(name).name != name or not name.isprintable():
+                return f"files, mesh: {name!r:.70} is no file's name"
+        scenes = [link.scene for link in self.all_links]
+        for name in (*scenes, *(sampler.file for sampler in self.samplers)):
+            if name not in self.files:
+                return f"files has no SHA-256 of {name!r:.70}"
+        for name in self.auto:
+            if name not in {*ANALYTIC, *(sampler.name for sampler in self.samplers)}:
+                return f"auto: no such proposal or sampler: {name!r:.70}"
+        return ""
 
 
 def parse(text: bytes, path: Path) -> tuple[Manifest, dict[str, Any]]:
@@ -106,16 +99,19 @@ def parse(text: bytes, path: Path) -> tuple[Manifest, dict[str, Any]]:
     Raises:
         SetupError: it is damaged, or of another format.
     """
+    faults: list[str] = []
     try:
         info = json.loads(text)
         found = info.get("format") if isinstance(info, dict) else None
         if found != FORMAT:
-            raise ValueError(
-                f"is of format {found!r:.70}, not {FORMAT} ('taxeld-train seal' turns 2 into 3)"
-            )
-        return _checked(Manifest, info, ""), info
+            cure = "('taxeld-train seal' turns 2 into 3)"
+            raise ValueError(f"is of format {found!r:.70}, not {FORMAT} {cure}")
     except (ValueError, RecursionError) as error:
-        raise SetupError(f"{path}: {reason(error)}; build the bundle again") from None
+        raise SetupError(f"{path}: {reason(error)}; {AGAIN}") from None
+    made = gate.take(Manifest, info, faults, more=True)
+    if made is None or made.fault:
+        raise SetupError(f"{path}: {made.fault if made else faults[0]}; {AGAIN}")
+    return made, info
 
 
 def read(path: Path) -> bytes:
@@ -123,7 +119,7 @@ def read(path: Path) -> bytes:
     try:
         return files.read(path)
     except OSError as error:
-        raise SetupError(f"{path}: {error.strerror}; build the bundle again") from None
+        raise SetupError(f"{path}: {error.strerror}; {AGAIN}") from None
 
 
 def unbroken(path: Path, digests: dict[str, str]) -> dict[str, bytes]:
@@ -151,23 +147,22 @@ def reason(error: Exception) -> str:
     return str(error).partition("\n")[0] or type(error).__name__
 
 
-def _checked(kind: Any, value: object, key: str) -> Any:
-    """A JSON value as `kind`; raises ValueError with its key. Maps may hold more keys."""
-    inner, origin = get_args(kind), get_origin(kind)
-    if hasattr(kind, "__dataclass_fields__") and isinstance(value, dict):
-        kinds, at = get_type_hints(kind), f"{key}." if key else ""
-        due = {f.name for f in fields(kind) if f.default is f.default_factory is MISSING}
-        names = [f.name for f in fields(kind) if f.name in value or f.name in due]
-        return kind(**{name: _checked(kinds[name], value.get(name), at + name) for name in names})
-    if origin is list and isinstance(value, list):
-        return [_checked(inner[0], one, f"{key}[{i}]") for i, one in enumerate(value)]
-    if origin is dict and isinstance(value, dict):
-        return {_checked(str, k, key): _checked(str, v, f"{key}.{k}") for k, v in value.items()}
-    if kind is str and isinstance(value, str) and value.isprintable():
-        return value
-    if kind is int and type(value) is int:
-        return value
-    if kind is float and isinstance(value, int | float) and abs(value) < LARGEST:
-        return float(value)
-    words = {str: "line of text", int: "whole number", float: "number", list: "list"}
-    raise ValueError(f"{key} is missing or no {words.get(origin or kind, 'map')}")
+def save_scene(scene: Scene, path: Path) -> None:
+    """Write `scene.npz`."""
+    arrays = {name: np.asarray(getattr(scene, name)) for name in Scene.__dataclass_fields__}
+    np.savez_compressed(path, allow_pickle=False, **arrays)
+
+
+def parse_scene(data: bytes, path: Path) -> Scene:
+    """The scene in the content of `scene.npz`, named by `path` in messages.
+
+    Raises:
+        SetupError: it is damaged, or not a scene.
+    """
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            values = {name: arrays[name] for name in Scene.__dataclass_fields__}
+        cell, symmetry = float(values.pop("cell").item()), int(values.pop("symmetry").item())
+        return Scene(**values, cell=cell, symmetry=symmetry)
+    except Exception as error:  # exceptions of zip, zlib and numpy's headers share no base
+        raise SetupError(f"{path}: unusable scene ({reason(error)}); {AGAIN}") from None

@@ -79,7 +79,8 @@ def sized(config: Config, found: Sequence[Manifest]) -> Config:
     their bundles were built, unless it says itself how many. Of several the most count."""
     if config.is_sized or not found:
         return config
-    most = {key: max(getattr(one.filter, key) for one in found) for key in SIZES}
+    own = [one.filter.over(FilterConfig()) for one in found]
+    most = {key: max(getattr(one, key) for one in own) for key in SIZES}
     return replace(config, filter=replace(config.filter, **most))
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from taxeld.config.file import text_of
+from taxeld.config.gate import ConfigError, between, key, parse
 from taxeld.config.tables import SkinConfig
-from taxeld.config.toml_tables import ConfigError, between, key, parse
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.skin import state

@@ -18,7 +18,6 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from taxeld.config import links
 from taxeld.config.tables import Config
 from taxeld.door.settings import OOM_SCORE, Settings
 from taxeld.errors import SetupError
@@ -36,6 +35,7 @@ REFUSED = 2  # exit status of such a door
 LOOK_S = 0.01
 QUEUE_S = 2.0  # messages of all topics that wait for a slow subscriber
 QUEUE_LEAST = 40  # messages
+CHANGE_GROUP = "taxeld-control"  # its members may tare, reset and give priors
 LOOPS_OWN = ("NOTIFY_", "WATCHDOG_", "LISTEN_", "STATE_DIRECTORY")  # variables of the environment
 log = logging.getLogger(__name__)
 
@@ -165,7 +165,7 @@ def settings_of(config: Config) -> Settings:
     return Settings(
         publish=config.publish.endpoints,
         control=config.control.endpoint,
-        change_group=config.control.group,
+        change_group=CHANGE_GROUP,
         robot=config.sensor_pose.endpoint,
         topics=_topics_of(config),
         array=_array_of(config),
@@ -193,7 +193,7 @@ def poses_alone(config: Config) -> Settings:
 
 
 def _topics_of(config: Config) -> tuple[str, ...]:
-    return tuple(links.topics(config)) if config.links else ()
+    return config.topics
 
 
 @contextlib.contextmanager
@@ -219,7 +219,7 @@ def array_heard(source: Source, endpoint: str) -> Iterator[None]:
 
 
 def _array_of(config: Config) -> str:
-    found = (bus.endpoint for bus, _ in links.buses(config) if bus.kind == "array")
+    found = (bus.endpoint for bus, _ in config.buses if bus.kind == "array")
     return next(found, "")
 
 

@@ -22,6 +22,7 @@ from taxeld.skin.state import SkinState
 NAME = "kept.npz"
 EVERY_S, AT_LEAST_S = 60.0, 240.0  # between two writings out of contact; where nothing is new
 BASELINE_S = 43_200.0  # an idle baseline that was stored longer ago is not used
+KEEP_S = 600.0  # what was felt is used by a start that comes so soon
 FUTURE_S = 3600.0  # a time farther ahead was stored by a wrong clock, or is read by one
 
 
@@ -44,7 +45,7 @@ class Store:
             self._file.warn("it is of another version: skin and object are learned again")
             self._found = {}
         self._estimator = pipeline.estimator if pipeline.has_object else None
-        self._keep_s = config.filter.keep_s if config.filter.motion == "none" else 0.0
+        self._keep_s = KEEP_S if config.filter.motion == "none" else 0.0
         self._digest = self._estimator.digest if self._estimator and self._keep_s else ""
         self._written_s, self._changes, self._captures = -math.inf, 0, 0
         self._is_forgotten = False
@@ -78,7 +79,7 @@ class Store:
         if stored["digest"].item() != self._digest:
             why = "it is of another scene, skin or configuration"
         elif not -FUTURE_S <= age_s <= self._keep_s:
-            why = f"it is {age_s:.0f} s old (filter.keep_s)"
+            why = f"it is {age_s:.0f} s old"
         else:
             self._pipeline.restore(scans_of(stored))
             return

@@ -20,8 +20,8 @@ from types import FrameType
 from typing import Any, Self
 
 from taxeld.config import file as config_file
+from taxeld.config.gate import ConfigError
 from taxeld.config.tables import Config
-from taxeld.config.toml_tables import ConfigError
 from taxeld.service import log as service_log
 
 STOP = (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)

@@ -6,7 +6,6 @@ from itertools import combinations
 
 import numpy as np
 
-from taxeld.config import links
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
@@ -56,7 +55,7 @@ def opened(
         SetupError: two layouts of one bus have the same taxels, or `open_one` raises it.
     """
     found = list[Bus]()
-    for source, numbers in links.buses(config):
+    for source, numbers in config.buses:
         own = [layouts[k] for k in numbers]
         check_uids([config.names[k] for k in numbers], own)
         found.append(Bus(open_one(source, joint(own), numbers[0]), numbers, own))

@@ -21,7 +21,7 @@ import numpy as np
 
 from taxeld import files
 from taxeld.arrays import Poses
-from taxeld.config import toml_tables
+from taxeld.config import gate
 from taxeld.config.file import load
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
@@ -186,7 +186,7 @@ def _about(directory: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        found = toml_tables.loads("\n".join(islice(_Lines(path), ABOUT_LINES)))
+        found = gate.loads("\n".join(islice(_Lines(path), ABOUT_LINES)))
     except ValueError as error:
         raise SetupError(f"{path}: damaged ({error})") from None
     if not all(type(count) is int and 0 <= count < COUNT_MAX for count in found.values()):

@@ -92,7 +92,7 @@ def source_of(target: str, period_ms: int) -> SourceConfig:
             "pcan:PCAN_USBBUS1"
         )
     if kind == "array":
-        if fault := endpoints.array_fault(channel):
+        if fault := endpoints.fault(channel):
             raise SetupError(f"TARGET: {fault}")
         return SourceConfig(kind="array", endpoint=channel, period_ms=period_ms)
     device, at, baud = channel.partition("@")

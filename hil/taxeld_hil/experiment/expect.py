@@ -57,7 +57,7 @@ def jobs(subjects: dict[str, Scenario], seeds: int, touches: int) -> list[Job]:
     """A job for each trial, seed by seed, so that a part of them is as fair as all. Every other
     seed also tries what would help; all of that by the same proposal, looked-up contacts."""
     own = subjects[AS_IS]
-    by_table = on_layout(own.bundle, own.skin_layout).order == [Table.name]
+    by_table = on_layout(own.bundle, own.skin_layout).order == (Table.name,)
     changed = {} if by_table else {BY_TABLE: own}
     changed |= {CALIBRATED: own} | {k: v for k, v in subjects.items() if k != AS_IS}
     found = []

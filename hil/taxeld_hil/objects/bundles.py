@@ -10,7 +10,7 @@ from typing import Any
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import Scene
-from taxeld.proposals import manifest, scene_file
+from taxeld.proposals import manifest
 from taxeld.proposals.analytic import Table
 from taxeld_hil.objects import meshes, scenes
 
@@ -28,9 +28,9 @@ def write(
 ) -> None:
     """Write `scene.npz`, the scenes on further links, which `info` names, and then `bundle.json`
     about them and the samplers that are there."""
-    scene_file.save(scene, directory / manifest.SCENE)
+    manifest.save_scene(scene, directory / manifest.SCENE)
     for link, one in zip(info.get("links", ()), further, strict=True):
-        scene_file.save(one, directory / link["scene"])
+        manifest.save_scene(one, directory / link["scene"])
     _write(info, directory)
 
 

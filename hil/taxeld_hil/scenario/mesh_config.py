@@ -8,7 +8,7 @@ lognormal. docs/physics.md says what each figure rests on; what is assumed says 
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from taxeld.config.toml_tables import Bound, between, key
+from taxeld.config.gate import Bound, between, key
 
 Pair: TypeAlias = tuple[float, float]  # the median, and the 90th percentile
 

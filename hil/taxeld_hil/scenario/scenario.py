@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 
-from taxeld.config import toml_tables
+from taxeld.config import gate
 from taxeld.config.file import text_of
-from taxeld.config.links import LINKS_MAX
-from taxeld.config.toml_tables import Given, between, key, one_of
+from taxeld.config.gate import Given, between, key, one_of
+from taxeld.config.tables import LINKS_MAX
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle as bundles
@@ -220,6 +220,6 @@ def load(name: str) -> Scenario:
     """
     for path in (shipped().get(name), Path(name)):
         if path is not None and path.is_file():
-            return toml_tables.parse(Scenario, text_of(path), str(path))
+            return gate.parse(Scenario, text_of(path), str(path))
     names = ", ".join(shipped())
     raise SetupError(f"no scenario '{name}'; shipped are {names}, or give a TOML file")

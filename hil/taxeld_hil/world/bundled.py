@@ -57,7 +57,7 @@ def _cut_anew(name: str, *specs: str) -> Bundle:
     if more:
         model = ObservationModel(model.scene, model.layout, built.depth_max_m, more)
     own = BuiltFor(model.layout.name, model.layout.digest)
-    found = replace(built, layout=own, samplers=[], auto=[Table.name])
+    found = replace(built, layout=own, samplers=(), auto=(Table.name,))
     return Bundle(bundle.find(name), found, {"object": built.object}, {}, model)
 
 

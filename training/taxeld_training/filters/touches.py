@@ -96,7 +96,7 @@ def counted(
         }
         for rule in (0, 1)
     )
-    return _chosen(filters, done, made.order) | {
+    return _chosen(filters, done, list(made.order)) | {
         "touches": {
             "foam": asked.foam,
             "trials": asked.trials,
