@@ -13,9 +13,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from taxeld.command_line import one_thread
+from taxeld.command_line import ONE_THREAD
 
-one_thread()  # as the daemon has
+os.environ |= dict.fromkeys(ONE_THREAD, "1")  # as the daemon has
 
 import numpy as np
 

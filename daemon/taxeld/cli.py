@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import signal
 import sys
 from collections.abc import Callable
@@ -9,32 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from taxeld import command_line
-from taxeld.command_line import FAILED, Commands, command, documented
-from taxeld.config.endpoints import for_this_user
+from taxeld.command_line import FAILED, Run
 from taxeld.config.file import load
 from taxeld.config.gate import ConfigError
-from taxeld.config.tables import LEVELS, ControlConfig
 from taxeld.errors import SetupError
-from taxeld.view import cli as view_cli
 
-DONE = {
-    "tare": "the idle baseline is being learned again; leave the skin untouched until it is",
-    "prior": "the prior is taken; touches may refute it",
-    "reset": "all touches are forgotten",
-}
-OWN_CONFIG = "in place of the session's own config.toml"
+Argument = tuple[tuple[str, ...], dict[str, Any]]  # of `add_argument`
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; → 0 fine, 1 failed at work, 2 wrong arguments or configuration."""
-    command_line.one_thread()
-    if (sys.argv[1:] if argv is None else argv)[:1] == ["relay"]:
-        print(
-            "relay: is no command any more; 'taxeld run' serves relay.publish and relay.control of "
-            "its configuration itself",
-            file=sys.stderr,
-        )
-        return command_line.USAGE_ERROR
     return command_line.main(_parser(), argv)
 
 
@@ -51,12 +36,12 @@ def _run(args: argparse.Namespace) -> int:
 
     with log.written(), signals.Signals() as received:
         config = load(args.config)
-        log.set_level(args.log_level or config.log.level)
+        log.set_level(config.log.level)
         recorder = recorder_of(config, args.config, args.record) if args.record else None
         daemon = Daemon(config, recorder)
         received.stop_by(daemon.stop)
         actions: dict[int, Callable[[], None]] = {
-            signal.SIGHUP: lambda: signals.reload(args.config, config, args.log_level),
+            signal.SIGHUP: lambda: signals.reload(args.config, config),
             signal.SIGUSR1: lambda: signals.dump(daemon.publisher.state()),
         }
         daemon.run(lambda: received.serve(actions))
@@ -100,13 +85,11 @@ def _check(args: argparse.Namespace) -> int:
     """Check everything that a run needs; one line for each fault.
 
     taxeld check can0.toml
-    taxeld check --running /etc/taxeld/can0.toml
     """
     from taxeld.commands import check
 
     config = load(args.config)
-    faults = check.faults(config, args.running)
-    if faults:
+    if faults := check.faults(config):
         raise ConfigError(faults)
     print("\n".join([f"{args.config}: fine", *(f"note: {line}" for line in check.notes(config))]))
     return 0
@@ -123,7 +106,7 @@ def _decode(args: argparse.Namespace) -> int:
 
     modules = load(args.config).source.modules if args.config else of_session(args.log)
     listed = ListedModules(modules) if args.config or modules else None
-    for line in decode(args.log, listed, args.interface):
+    for line in decode(args.log, listed):
         print(line)
     return 0
 
@@ -177,27 +160,56 @@ def _layout(args: argparse.Namespace) -> int:
     return 0
 
 
-def _ask(args: argparse.Namespace) -> int:
-    from taxeld.commands.status import lines
-    from taxeld.commands.unanswered import unanswered
-    from taxeld.stream import client
+def _status(args: argparse.Namespace) -> int:
+    """Show what a running daemon believes and counts.
 
-    endpoint = args.endpoint or for_this_user(ControlConfig().endpoint)
-    if args.config:
-        endpoint = load(args.config).control.endpoint
-        if not endpoint:
-            raise SetupError("control.endpoint: is empty, so this daemon cannot be asked")
-    what = _prior(args) if args.name == "prior" else {}
-    answer = client.ask(endpoint, args.name, args.keys, **what)
-    if answer is None or not answer.get("ok"):
-        fault = f"{endpoint}: {(answer or {}).get('error', 'an answer of another kind')}"
-        print(unanswered(endpoint) if answer is None else fault, file=sys.stderr)
-        return FAILED
-    if args.name == "status":
-        print(json.dumps(answer, indent=1) if args.json else "\n".join(lines(answer)))
-    else:
-        print(DONE[args.name])
+    taxeld status
+    taxeld status can0.toml --json
+    """
+    from taxeld.commands.status import lines
+
+    answer = _answer(args, "status")
+    print(json.dumps(answer, indent=1) if args.json else "\n".join(lines(answer)))
     return 0
+
+
+def _tare(args: argparse.Namespace) -> int:
+    """Have a running daemon learn the idle baseline again; do not touch the skin.
+
+    taxeld tare can0.toml
+    """
+    _answer(args, "tare")
+    print("the idle baseline is being learned again; leave the skin untouched until it is")
+    return 0
+
+
+def _reset(args: argparse.Namespace) -> int:
+    """Have a running daemon forget all touches.
+
+    taxeld reset can0.toml
+    """
+    _answer(args, "reset")
+    print("all touches are forgotten")
+    return 0
+
+
+def _prior(args: argparse.Namespace) -> int:
+    """Tell a running daemon where the object may be.
+
+    taxeld prior can0.toml --at 0.4 0.1 nan
+    taxeld prior ipc:///run/taxeld/control --at 0.4 0.1 1.57 --sd 0.01 0.01 0.1
+    """
+    x, y, yaw = args.at
+    theta = None if math.isnan(yaw) else yaw
+    _answer(args, "prior", x=x, y=y, theta=theta, cov=args.sd, object=args.object)
+    print("the prior is taken; touches may refute it")
+    return 0
+
+
+def _answer(args: argparse.Namespace, command: str, **what: object) -> dict[str, Any]:
+    from taxeld.commands import running
+
+    return running.answer(running.endpoint_of(args.daemon, running.CONTROL), command, **what)
 
 
 def _advise(args: argparse.Namespace) -> int:
@@ -210,26 +222,103 @@ def _advise(args: argparse.Namespace) -> int:
     from taxeld.advice.lines import Reach
     from taxeld.commands import advise
 
-    given = {"box_m": args.reach, "yaw_deg": args.yaw_deg, "directions_deg": args.directions_deg}
-    given |= {"clearance_m": args.clearance_m, "depth_m": args.depth_m}
-    reach = Reach(**{name: _plain(value) for name, value in given.items() if value is not None})
-    config, stopping = load(args.config), command_line.stopping()
-    for advice in advise.follow(config, reach, args.keys, stopping):
-        say = [advise.as_json(advice, config.names)] if args.json else []
-        print("\n".join(say or advise.lines(advice, config.names)), flush=True)
+    config = load(args.config)
+    reach = Reach(box_m=tuple(args.reach), yaw_deg=tuple(args.yaw_deg))
+    for advice in advise.follow(config, reach, command_line.stopping()):
+        if args.json:
+            print(advise.as_json(advice, config.names), flush=True)
+        else:
+            print("\n".join(advise.lines(advice, config.names)), flush=True)
         if not args.follow:
             break
     return 0
 
 
-def _plain(value: float | list[float]) -> Any:
-    return tuple(value) if isinstance(value, list) else value
+def _view(args: argparse.Namespace) -> int:
+    """Show a running daemon or a session in three dimensions, with plots.
+
+    taxeld view
+    taxeld view can0.toml --save live.rrd
+    taxeld view session
+    """
+    from taxeld.view import view
+
+    print(view.run(args.source, args.save, args.seconds, command_line.stopping()))
+    return 0
 
 
-def _prior(args: argparse.Namespace) -> dict[str, Any]:
-    (x, y), (sx, sy, turn) = args.at, args.sd
-    found = {"x": x, "y": y, "theta": args.yaw, "cov": [sx, sy, turn]}
-    return found | {"weight": args.weight, "object": args.object}
+def _given(name: str, values: str, about: str, kind: Any = str, **how: Any) -> Argument:
+    """An argument with the named `values`, each of a `kind`."""
+    names = tuple(values.split())
+    if len(names) > 1:
+        return (name,), {"nargs": len(names), "metavar": names, "type": kind, "help": about} | how
+    return (name,), {"metavar": values, "type": kind, "help": about} | how
+
+
+def _flag(name: str, about: str) -> Argument:
+    return (name,), {"action": "store_true", "help": about}
+
+
+CONFIG = _given("config", "CONFIG", "a configuration", Path)
+DAEMON_ABOUT = "of a daemon (default: of the service, or of this user)"
+DAEMON = _given("daemon", "CONFIG|ENDPOINT", DAEMON_ABOUT, nargs="?", default="")
+OF_SESSION = _given("--config", "CONFIG", "in place of the session's own config.toml", Path)
+USUAL_SD = (0.02, 0.02, 0.2)
+
+COMMANDS: dict[Run, tuple[Argument, ...]] = {
+    _init: (
+        _given("config", "CONFIG", "a new file", Path),
+        _given("--source", "SOURCE", "can:can0, slcan:DEVICE, serial:DEVICE or array:ENDPOINT"),
+        _given("--bundle", "OBJECT", "box, drill, mug or a directory; '' for the skin alone"),
+        _given("--layout", "LAYOUT", "the skin's (default: what the bundle was built for)"),
+        _given("--poses", "ENDPOINT", "where the robot publishes; '' if the sensor is fixed"),
+        _given("--where", "X Y HALF", "the square, about X Y, of the object [m] (0 0 0.5)"),
+    ),
+    _run: (CONFIG, _given("--record", "DIR", "also record a session into this new one", Path)),
+    _check: (CONFIG,),
+    _record: (CONFIG, _given("--out", "DIR", "a new directory", Path, required=True)),
+    _replay: (
+        _given("directory", "DIR", "a session", Path),
+        OF_SESSION,
+        _given("--seed", "N", "in place of filter.seed", int),
+    ),
+    _decode: (
+        _given("log", "LOG", "a log of candump or of python-can, or a serial.bin", Path),
+        _given("--config", "CONFIG", "with source.modules; a session has its own", Path),
+    ),
+    _calibrate: (
+        _given("source", "CONFIG|SESSION", "a skin to be pressed now, or recorded", Path),
+        _given("--out", "FILE", "*.toml", Path),
+        _flag("--check", "only judge the session's own full scale and mount by its touches"),
+        _given("--object", "X Y YAW", "its pose, if known, in the world [m, m, rad]", float),
+        OF_SESSION,
+    ),
+    _layout: (
+        _given("layout", "LAYOUT", "cylinder:… or wrap:…, or a .json or .csv file"),
+        _given("--png", "OUT", "draw it, unrolled and cut across", Path),
+    ),
+    _status: (DAEMON, _flag("--json", "the whole answer as JSON")),
+    _tare: (DAEMON,),
+    _reset: (DAEMON,),
+    _prior: (
+        DAEMON,
+        _given("--at", "X Y YAW", "in the world [m, m, rad]; YAW may be nan", float, required=True),
+        _given("--sd", "X Y YAW", "standard deviations (0.02 0.02 0.2)", float, default=USUAL_SD),
+        _given("--object", "NAME", "where several may be felt"),
+    ),
+    _advise: (
+        CONFIG,
+        _flag("--json", "one line of JSON for each advice"),
+        _flag("--follow", "again whenever more was felt, until stopped"),
+        _given("--reach", "X X Y Y", "of the sensor [m] (the filter's square)", float, default=()),
+        _given("--yaw-deg", "LEAST MOST", "of the sensor (any)", float, default=()),
+    ),
+    _view: (
+        _given("source", "CONFIG|ENDPOINT|SESSION", DAEMON_ABOUT, nargs="?", default=""),
+        _given("--save", "FILE", "into an .rrd file, no window", Path),
+        _given("--seconds", "S", "of scans, from the first on (all)", float, default=math.inf),
+    ),
+}
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -242,122 +331,11 @@ def _parser() -> argparse.ArgumentParser:
         "taxeld status can0.toml",
     )
     commands = command_line.commands_of(parser)
-    _add_daemon(commands)
-    _add_sessions(commands)
-    _add_skin(commands)
-    _add_asking(commands)
-    _add_advise(commands)
-    view_cli.add(commands)
+    for run, arguments in COMMANDS.items():
+        made = command_line.documented(commands, run)
+        for names, how in arguments:
+            made.add_argument(*names, **how)
     return parser
-
-
-def _add_daemon(commands: Commands) -> None:
-    add = documented(commands, _init).add_argument
-    add("config", type=Path, metavar="CONFIG", help="a new file")
-    add("--source", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0 or array:ENDPOINT")
-    add("--bundle", help="the object: box, drill, mug, or what taxeld-train build made")
-    add("--no-object", action="store_true", help="the skin alone: contacts, and no estimate")
-    add("--layout", help="the skin's (default: what the bundle was built for)")
-    about = "where the robot publishes; '' if the sensor is fixed"
-    add("--poses", metavar="ENDPOINT", help=about)
-    about = "the square, about X Y, where the object can be [m] (default 0 0 0.5)"
-    add("--where", nargs=3, metavar=("X", "Y", "HALF"), help=about)
-    add("--keys", default="", metavar="DIR", help="keys, where the robot is another machine")
-
-    add = documented(commands, _run).add_argument
-    add("config", type=Path, metavar="CONFIG")
-    about = "also record a session into this new directory"
-    add("--record", type=Path, metavar="DIR", help=about)
-    add("--log-level", choices=LEVELS, help="in place of log.level of the configuration")
-
-    add = documented(commands, _check).add_argument
-    add("config", type=Path, metavar="CONFIG")
-    about = "a daemon runs with this configuration: what it has in use is no fault"
-    add("--running", action="store_true", help=about)
-
-
-def _add_sessions(commands: Commands) -> None:
-    add = documented(commands, _record).add_argument
-    add("config", type=Path, metavar="CONFIG")
-    add("--out", type=Path, required=True, metavar="DIR", help="a new directory")
-
-    add = documented(commands, _replay).add_argument
-    add("directory", type=Path, metavar="DIR")
-    add("--config", type=Path, help=OWN_CONFIG)
-    add("--seed", type=int, help="in place of filter.seed")
-
-    add = documented(commands, _decode).add_argument
-    about = "a log of candump or of python-can, or a serial.bin"
-    add("log", type=Path, metavar="LOG", help=about)
-    about = "with source.modules; a session's log has its own"
-    add("--config", type=Path, help=about)
-    about = "the skin's CAN interface, where the log holds several"
-    add("--interface", default="", help=about)
-
-
-def _add_skin(commands: Commands) -> None:
-    add = documented(commands, _calibrate).add_argument
-    about = "a skin to be pressed now, or recorded"
-    add("source", type=Path, metavar="CONFIG|SESSION", help=about)
-    add("--out", type=Path, metavar="FILE", help="*.toml")
-    about = "say whether a session's touches agree with the full scale and mount that it had"
-    add("--check", action="store_true", help=about)
-    about = "the object's pose in the robot's world [m, m, rad]; without it, found by touch"
-    add("--object", type=float, nargs=3, metavar=("X", "Y", "YAW"), help=about)
-    add("--config", type=Path, help=OWN_CONFIG)
-    about = "number of presses to ask for (default %(default)s)"
-    add("--presses", type=int, default=20, metavar="N", help=about)
-    about = "seconds without touch at the start (default %(default)s)"
-    add("--idle-s", type=float, default=60.0, help=about)
-
-    add = documented(commands, _layout).add_argument
-    add("layout", metavar="LAYOUT", help="cylinder:… or wrap:…, or a .json or .csv file")
-    add("--png", type=Path, metavar="OUT", help="draw it, unrolled and cut across")
-
-
-def _add_advise(commands: Commands) -> None:
-    made = documented(commands, _advise)
-    add = made.add_argument
-    add("config", type=Path, metavar="CONFIG", help="the daemon's configuration")
-    add("--json", action="store_true", help="one line of JSON for each advice")
-    add("--follow", action="store_true", help="again whenever more was felt, until stopped")
-    about = "where the sensor can be in the world [m]; without it, the filter's square"
-    add("--reach", type=float, nargs=4, metavar=("X", "X", "Y", "Y"), help=about)
-    about = "directions of motion in the world (default: 24 all around)"
-    add("--directions-deg", type=float, nargs="+", metavar="D", help=about)
-    add("--yaw-deg", type=float, nargs=2, metavar=("LEAST", "MOST"), help="yaw of the sensor")
-    about = "approaches begin so far from wherever the object may be"
-    add("--clearance-m", type=float, metavar="M", help=about)
-    add("--depth-m", type=float, metavar="M", help="how far to go on once something is touched")
-    command_line.add_keys(made)
-
-
-def _add_asking(commands: Commands) -> None:
-    for name, text in (
-        ("status", "Show what a running daemon believes and counts."),
-        ("tare", "Have a running daemon learn the idle baseline again; do not touch the skin."),
-        ("reset", "Have a running daemon forget all touches."),
-        ("prior", "Tell a running daemon where the object may be."),
-    ):
-        at = " --at 0.4 0.1" if name == "prior" else ""
-        endings = "", " can0.toml", " --endpoint ipc:///run/taxeld/control"
-        examples = (f"taxeld {name}{ending}{at}" for ending in endings)
-        ask = command(commands, name, text, *examples, run=_ask)
-        command_line.add_endpoint(ask, "a control endpoint of the daemon")
-        if name == "prior":
-            add = ask.add_argument
-            about = "of the object in the world [m]"
-            add("--at", nargs=2, type=float, required=True, metavar=("X", "Y"), help=about)
-            add("--yaw", type=float, help="[rad]; without it X Y are of the object's middle")
-            about = "standard deviations [m, m, rad] (default 0.02 0.02 0.2)"
-            deviations = ("SX", "SY", "SYAW")
-            usual = (0.02, 0.02, 0.2)
-            add("--sd", nargs=3, type=float, default=usual, metavar=deviations, help=about)
-            add("--weight", type=float, help="probability that it means this object (default 0.9)")
-            add("--object", help="name, where several may be felt")
-        if name == "status":
-            ask.add_argument("--json", action="store_true", help="the whole answer as JSON")
-        ask.set_defaults(name=name)
 
 
 if __name__ == "__main__":

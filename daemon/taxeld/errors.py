@@ -20,3 +20,7 @@ class SetupError(Exception):
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
+
+
+class WorkError(SetupError):
+    """Nothing is wrong with what was asked, and yet it failed: commands exit 1."""

@@ -32,7 +32,6 @@ _say = partial(print, flush=True)
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
-    command_line.one_thread()
     return command_line.main(_parser(), argv)
 
 

@@ -4,18 +4,17 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import msgpack
 import zmq
 
+from taxeld.commands.running import Subscriber
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.service.notify import Notifier
 from taxeld.stream.sockets import open_socket, why
 from taxeld.stream.topics import ESTIMATE, HEALTH, SENSOR_POSE
-from taxeld.view.streams import Subscriber
 from taxeld_ros2 import dds
 
 STEP_S = 0.005  # longest time that a pose of the skin waits
@@ -30,7 +29,7 @@ log = logging.getLogger(f"taxeld.{__name__}")  # the command writes the logs of 
 class Bridge:
     """Opened, until `close`."""
 
-    def __init__(self, stream: str, keys: Path | None, prefix: str, frame: str) -> None:
+    def __init__(self, stream: str, prefix: str, frame: str) -> None:
         """`stream`: where a daemon publishes, or will; `prefix` begins the names of the topics, and
         `frame` is that of their poses. Raises SetupError: one cannot be used, or DDS not be had."""
         self._where, self._prefix, self._frame = stream, prefix, frame
@@ -42,7 +41,7 @@ class Bridge:
         self._pose = dds.writer(self._dds, f"{prefix}/pose", dds.SpreadStamped)
         self._modes = dds.writer(self._dds, f"{prefix}/modes", dds.PoseArray)
         self._diagnostics = dds.writer(self._dds, "diagnostics", dds.Diagnostics)
-        self._streams = Subscriber(stream, keys, [ESTIMATE, HEALTH], "--stream")
+        self._streams = Subscriber(stream, [ESTIMATE, HEALTH])
         self._robot: zmq.Socket[Any] | None = None
 
     def listen(self, topic: str, endpoint: str) -> None:
@@ -58,7 +57,7 @@ class Bridge:
             raise SetupError(f"{fault}; is it another's, or of another machine?") from None
 
     def run(self, stopping: Callable[[], bool]) -> None:
-        """Until `stopping`. Raises SetupError: the daemon speaks another version of the stream."""
+        """Until `stopping`. Raises WorkError: the daemon speaks another version of the stream."""
         notifier, step_s = Notifier(), 10.0 * STEP_S if self._robot is None else STEP_S
         notifier.ready()
         while not stopping():

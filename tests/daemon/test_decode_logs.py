@@ -153,42 +153,11 @@ def test_a_directory_is_no_log_and_the_line_says_what_is(tmp_path: Path) -> None
     assert "of a session its frames.log or serial.bin" in refused("decode", tmp_path)
 
 
-def two_interfaces(log: Path) -> None:
-    other = [frame._replace(can_id=0x105) for frame in FRAMES if frame.can_id != 0x7F0]
-    candump_log("can0")(FRAMES, log)
-    lines = log.read_text().splitlines()
-    candump_log("can1")(other, log)
-    lines += log.read_text().splitlines()
-    log.write_text("\n".join(sorted(lines)) + "\n")
-
-
-def test_of_several_interfaces_one_is_to_be_named(tmp_path: Path) -> None:
+def test_of_several_interfaces_one_is_to_be_kept(tmp_path: Path) -> None:
     log = tmp_path / "any.log"
-    two_interfaces(log)
-    assert "interfaces, can0, can1; name the skin's with --interface" in refused("decode", log)
-    assert "no frame of can2; it has those of can0, can1" in refused(
-        "decode", log, "--interface", "can2"
-    )
-    scans, stats = decoded(log, "can0")
-    assert [scan["modules"] for scan in scans] == counts()
-    assert stats["frames"] == len(FRAMES)
-    assert decoded(log, "can1")[1]["frames"] == len(FRAMES) - 1
-
-
-@pytest.mark.parametrize("name", ["a.asc", "a.blf"])
-def test_channels_are_interfaces_by_the_number_that_python_can_gives_them(
-    tmp_path: Path, name: str
-) -> None:
-    log = written(name, tmp_path)
-    assert len(decoded(log, "0")[0]) == 6
-    with pytest.raises(SetupError, match="no frame of 2; it has those of 0"):
-        list(decode(log, interface="2"))
-
-
-@pytest.mark.parametrize("name", ["a.csv", "serial.bin"])
-def test_a_log_without_interfaces_takes_no_name(tmp_path: Path, name: str) -> None:
-    log = RECORDED / name if name == "serial.bin" else written(name, tmp_path)
-    assert "leave this out" in refused("decode", log, "--interface", "can0")
+    candump_log("can0")(FRAMES, log)
+    log.write_text("(1700000000.1) can1 101#43\n" + log.read_text())
+    assert "interfaces, can0, can1; keep those of the skin's, as by grep" in refused("decode", log)
 
 
 def test_the_bytes_of_a_recorded_serial_line_are_decoded_with_their_times(tmp_path: Path) -> None:

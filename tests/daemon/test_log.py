@@ -187,8 +187,8 @@ def test_a_daemon_says_when_it_is_ready_with_what(tmp_path: Path) -> None:
     assert lines[-1].endswith("hub 1 sends: 8 modules, 8 of them in the layout\n")
 
 
-def test_a_run_with_a_log_level_of_its_own_logs_nothing_below_it(tmp_path: Path) -> None:
-    with taxeld("run", "--log-level", "error", configuration(tmp_path), **PIPES) as daemon:
+def test_a_run_with_a_log_level_logs_nothing_below_it(tmp_path: Path) -> None:
+    with taxeld("run", configuration(tmp_path, log={"level": "error"}), **PIPES) as daemon:
         until(lambda: client.ask(f"ipc://{tmp_path}/control", "info", timeout_s=0.5))
         daemon.terminate()
         assert daemon.communicate() == ("", "")

@@ -136,7 +136,7 @@ def test_check_notes_that_nothing_will_be_estimated(tmp_path: Path) -> None:
 def test_init_writes_a_configuration_without_an_object(tmp_path: Path) -> None:
     path = tmp_path / "skin.toml"
     layout = SkinConfig().layout
-    options = ["--source", "can:can0", "--no-object", "--layout", layout, "--poses", ""]
+    options = ["--source", "can:can0", "--bundle", "", "--layout", layout, "--poses", ""]
     assert main(["init", str(path), *options]) == 0
     written = load(path)
     assert (written.scene.names, written.skin.layout) == ((), layout)

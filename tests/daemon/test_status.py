@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from taxeld.cli import main
 from taxeld.commands.status import lines
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import CURES, Why
@@ -47,29 +46,29 @@ def _contacts(place: Path) -> int:
     return int(_status(place)["estimate"]["contacts"])
 
 
-def test_status_is_aligned_names_and_values_with_units(
-    running: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["status", str(running / "config.toml")]) == 0
-    out, err = capsys.readouterr()
-    assert err == ""
-    rows = dict(line.split(": ", maxsplit=1) for line in out.splitlines())
+def test_status_is_aligned_names_and_values_with_units(running: Path) -> None:
+    rows = dict(
+        line.split(": ", maxsplit=1)
+        for line in printed("status", running / "config.toml").splitlines()
+    )
     assert {len(name) for name in rows} == {14}
     values = {name.strip(): value for name, value in rows.items()}
     assert values["Contacts"].split(",")[0].isdigit()
     assert values["Dead taxels"] == "1 (4)"
     assert values["Total time"].startswith("median ")
     assert " mm, y " in values["Uncertainty"]
-    answer = json.loads(printed("status", "--endpoint", f"ipc://{running}/control", "--json"))
+    answer = json.loads(printed("status", f"ipc://{running}/control", "--json"))
     assert set(answer) == {"ok", "estimate", "health", "waits_for", "why", "sensor_pose"}
 
 
-def test_reset_and_tare_wait_for_the_answer_and_say_what_happened(running: Path) -> None:
-    config = str(running / "config.toml")
-    before = _contacts(running)
+def test_reset_tare_and_prior_wait_for_the_answer_and_say_what_happened(running: Path) -> None:
+    config = running / "config.toml"
+    assert _contacts(running) > 0
     assert printed("reset", config) == "all touches are forgotten\n"
-    assert before > 0
     assert "leave the skin untouched" in printed("tare", config)
+    assert "is taken" in printed("prior", config, "--at", "-0.1", "0", "nan")
+    told = refused("prior", config, "--at", "99", "0", "0", status=1)
+    assert told.startswith(f"ipc://{running}/control: prior: x: must be -10..10 m")
 
 
 @pytest.mark.parametrize("command", ["status", "tare", "reset"])
@@ -77,25 +76,31 @@ def test_a_daemon_that_is_not_there_is_one_line_and_status_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.setattr(client, "TIMEOUT_S", 0.1)
-    said = refused(command, "--endpoint", f"ipc://{tmp_path}/control", status=1)
+    said = refused(command, f"ipc://{tmp_path}/control", status=1)
     assert said == f"no daemon answers at ipc://{tmp_path}/control; is 'taxeld run' there?\n"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "line"),
+    ("keys", "endpoint", "line"),
     [
-        (["--endpoint", "tcp://robot:1"], "--endpoint: 'tcp://robot:1' is not local; "),
-        (["--endpoint", "nonsense"], "--endpoint: 'nonsense' is no endpoint; use ipc:///path"),
-        (["--endpoint", "tcp://robot:1", "--keys", "/nowhere"], "--keys: /nowhere/client.key_s"),
+        (
+            "",
+            "tcp://robot:1",
+            "endpoint: 'tcp://robot:1' is not local; use ipc:///path or tcp://127",
+        ),
+        ("", "http://robot", "endpoint: 'http://robot' is no endpoint; use ipc:///path"),
+        ("", "robot", "robot: unreadable configuration"),
+        ("/nowhere", "tcp://robot:1", "TAXELD_KEYS: /nowhere/client.key_secret is not there"),
     ],
 )
-def test_a_wrong_endpoint_is_one_line_and_status_2(arguments: list[str], line: str) -> None:
-    assert refused("status", *arguments).startswith(line)
-
-
-def test_a_device_that_is_waited_for_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_wrong_endpoint_is_one_line_and_status_2(
+    monkeypatch: pytest.MonkeyPatch, keys: str, endpoint: str, line: str
 ) -> None:
+    monkeypatch.setenv("TAXELD_KEYS", keys)
+    assert refused("status", endpoint).startswith(line)
+
+
+def test_a_device_that_is_waited_for_is_one_line(tmp_path: Path) -> None:
     source = {"kind": "serial", "channel": f"{tmp_path}/skin"}
     config = configuration(tmp_path, source=source)
 
@@ -107,33 +112,26 @@ def test_a_device_that_is_waited_for_is_one_line(
     with taxeld("run", config) as daemon:
         try:
             answer = until(retried)
-            assert main(["status", str(config)]) == 0
         finally:
             daemon.terminate()
-    (line,) = (row for row in capsys.readouterr().out.splitlines() if row.startswith("Device"))
+    (line,) = (row for row in lines(answer) if row.startswith("Device"))
     cause = f"source.channel: cannot open {tmp_path}/skin (it is not there"
     assert line.startswith(f"Device        : waiting, {cause}")
     assert any(row.startswith("Not 0         : source.unopened ") for row in lines(answer))
 
 
-def test_a_daemon_without_health_yet_still_has_a_status(running: Path) -> None:
-    answer = client.ask(f"ipc://{running}/control", "status")
-    assert answer is not None
-    answer["health"] = {}
-    answer["estimate"]["status"] = 99
-    text = list(lines(answer))
-    assert "unknown (99), " in text[0]
-    assert all(line[14] == ":" for line in text)
-
-
-def test_faults_of_the_bus_have_a_row_with_their_counts_and_cures(running: Path) -> None:
-    answer = client.ask(f"ipc://{running}/control", "status")
-    assert answer is not None
+def test_a_daemon_without_health_yet_has_a_status_and_faults_of_the_bus_have_a_row(
+    running: Path,
+) -> None:
+    answer = _status(running)
     assert not any(line.startswith("Bus") for line in lines(answer))
     answer["health"]["source"]["bus"] |= {"no_ack": 12, "unread": 3}
     (row,) = (line for line in lines(answer) if line.startswith("Bus"))
     assert "no_ack 12 (nothing acknowledges; see" in row
     assert "; unread 3 (the kernel dropped" in row
+    answer["health"] = {}
+    answer["estimate"]["status"] = 99
+    assert "unknown (99), " in next(lines(answer))
 
 
 def test_a_value_has_a_row_where_it_is_not_0_and_has_a_cure() -> None:
@@ -167,7 +165,6 @@ def test_status_says_why_an_estimate_is_not_valid() -> None:
 @pytest.mark.parametrize(
     ("said", "line"),
     [
-        ({}, "p 99.6%, radius 8.8 mm"),
         (
             {"p": 0.6, "hypotheses": {"stands": 0.7, "moved": 0.1, "other": 0.2}},
             "p 60.0%, radius 8.8 mm; stands 70%, moved 10%, other 20%",

@@ -7,6 +7,7 @@ import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,11 @@ import zmq
 pytest.importorskip("rerun")
 
 from taxeld.cli import main
-from taxeld.errors import SetupError
+from taxeld.commands.running import Subscriber
+from taxeld.errors import WorkError
 from taxeld.layout import read as layouts
 from taxeld.stream import messages
 from taxeld.view import view
-from taxeld.view.streams import NEEDED, Subscriber
 from tests.rig.commands import refused
 from tests.rig.configurations import configuration
 from tests.rig.recorded import write_session
@@ -159,40 +160,31 @@ def test_a_running_daemon_is_shown(daemon: Callable[..., str], tmp_path: Path) -
 def test_a_daemon_that_is_restarted_with_more_objects_is_drawn_from_its_info_on(
     daemon: Callable[..., str], tmp_path: Path
 ) -> None:
-    found = drawn(tmp_path / "x.rrd", "--endpoint", daemon(restarted), "--seconds", "2.95")
+    found = drawn(tmp_path / "x.rrd", daemon(restarted), "--seconds", "2.95")
     assert found["/world/object"] == found["/world/link/skin"] == 20
 
 
-@pytest.mark.parametrize("change", [{"v": 1}, {"v": None}, {"placed": ...}], ids=str)
+@pytest.mark.parametrize("version", [1, None])
 def test_a_message_of_another_version_or_program_is_refused(
-    sockets: Sockets, tmp_path: Path, change: dict[str, Any]
+    daemon: Callable[..., str], version: int | None
 ) -> None:
-    publisher = sockets.open(zmq.XPUB)
-    publisher.bind(f"ipc://{tmp_path}/stream")
-    changed = maps()[messages.TAXELS] | change
-    body = msgpack.packb({key: value for key, value in changed.items() if value is not ...})
-    topics = [messages.TAXELS]
-    with contextlib.closing(Subscriber(f"ipc://{tmp_path}/stream", None, topics)) as streams:
-        assert publisher.poll(round(1e3 * WAIT_S))
-        publisher.recv()
-        publisher.send_multipart([messages.TAXELS, body, b"0.0"])
-        with pytest.raises(SetupError, match=r"^/taxeld/taxels: is no message of the stream's v"):
-            list(streams.wait(WAIT_S))
+    def other(_: int, said: Maps) -> Maps:
+        said[messages.TAXELS]["v"] = version
+        return said
 
-
-def test_the_keys_that_a_subscriber_needs_are_those_of_the_stream() -> None:
-    for topic, keys in NEEDED.items():
-        assert documented(topic.decode())[1].keys() >= set(keys.split())
+    with contextlib.closing(Subscriber(daemon(other), TOPICS)) as streams:
+        heard = chain.from_iterable(streams.wait(WAIT_S) for _ in range(100))
+        with pytest.raises(WorkError, match=r"^/taxeld/taxels: is no message of the stream's v"):
+            list(heard)
 
 
 REFUSED = [
     ([str(SESSION)], 2, "view: no screen here; use --save FILE"),
-    (["--endpoint", "ipc://{place}/none", "--save", "{out}"], 1, "no daemon answers at ipc://"),
-    (["--endpoint", "foo"], 2, "--endpoint: 'foo' is no endpoint"),
+    (["ipc://{place}/none", "--save", "{out}"], 1, "no daemon answers at ipc://"),
+    (["tcp://robot:1"], 2, "endpoint: 'tcp://robot:1' is not local"),
     (["{place}", "--save", "{out}"], 2, "{place}: is no session"),
     (["{place}/none.toml", "--save", "{out}"], 2, "none.toml"),
     ([str(SESSION), "--save", "{place}/no/x.rrd"], 2, "--save: cannot write"),
-    ([str(SESSION), "--endpoint", "ipc:///x"], 2, "are for a running daemon"),
     ([str(SESSION), "--seconds", "0", "--save", "{out}"], 2, "--seconds: must be more than 0"),
 ]
 
@@ -237,7 +229,7 @@ def test_a_window_that_is_closed_ends_the_view_of_a_daemon(
     viewer: Callable[[str], None], daemon: Callable[..., str], tmp_path: Path
 ) -> None:
     viewer("head -c 20000 >seen")
-    assert main(["view", "--endpoint", daemon()]) == 0
+    assert main(["view", daemon()]) == 0
     assert (tmp_path / "seen").stat().st_size == 20_000
 
 

@@ -19,7 +19,7 @@ from taxeld.model import se2
 from taxeld.service import calibration_file
 from taxeld.skin.calibration import Calibration
 from taxeld.stream import messages
-from taxeld_hil.calibration import calibrate, guided
+from taxeld_hil.calibration import calibrate
 from taxeld_hil.calibration.guided import Guided
 from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
 from tests.rig.commands import printed, refused
@@ -118,8 +118,7 @@ def test_a_session_without_a_robot_or_without_rest_is_refused(
 def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (calibrate, guided):
-        monkeypatch.setattr(module, "LEAST_IDLE_S", 1.0)
+    monkeypatch.setattr(calibrate, "LEAST_IDLE_S", 1.0)
     skin = PressedSkin.drawn(MODEL, 4, presses=18)
     uids = [uid for module in MODULES for uid in module.uids]
     index = {int(uid): i for i, uid in enumerate(SKIN.uid)}

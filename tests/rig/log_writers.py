@@ -101,7 +101,7 @@ def written(name: str, directory: Path, scans: int = 6) -> Path:
     return directory / name
 
 
-def decoded(log: Path, interface: str = "") -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def decoded(log: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The scans, and the last line's counters."""
-    *scans, last = map(json.loads, decode(log, interface=interface))
+    *scans, last = map(json.loads, decode(log))
     return scans, last["stats"]

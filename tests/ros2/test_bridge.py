@@ -91,7 +91,7 @@ def test_another_process_hears_poses_modes_and_status(daemon: Daemon, heard: Hea
     def go_on() -> None:
         sent.append(daemon.say_all())
 
-    with bridge("--stream", daemon.endpoint, "--frame", "table") as process:
+    with bridge(daemon.endpoint, "--frame", "table") as process:
         until(lambda: len(heard.of("taxeld/pose")) >= 3, go_on)
         until(lambda: any(len(d.status[0].values) > 9 for d in heard.of("diagnostics")), go_on)
         until(lambda: heard.of("taxeld/modes"), go_on)
@@ -119,7 +119,7 @@ def test_an_estimate_that_may_not_be_used_is_no_pose_and_its_status_is_told(
     def ambiguous() -> None:
         unusable.append(daemon.say(status=2)["t"])
 
-    with bridge("--stream", daemon.endpoint):
+    with bridge(daemon.endpoint):
         until(lambda: heard.of("taxeld/pose"), daemon.say)
         until(lambda: (dds.WARN, "inconsistent") in heard.status(), inconsistent)
         told = {one.key: one.value for one in heard.of("diagnostics")[-1].status[0].values}
@@ -136,7 +136,7 @@ def test_without_a_daemon_that_is_said_once_and_told_as_stale_until_one_comes(
     tmp_path: Path, heard: Heard
 ) -> None:
     endpoint = f"ipc://{tmp_path}/stream"
-    with bridge("--stream", endpoint) as process:
+    with bridge(endpoint) as process:
         line = logged(process, "no daemon")
         assert line == f"no daemon is heard at {endpoint}; is 'taxeld run' there? Waiting"
         until(heard.status)
@@ -149,7 +149,7 @@ def test_without_a_daemon_that_is_said_once_and_told_as_stale_until_one_comes(
 
 
 def test_a_stream_of_another_version_ends_the_bridge_with_one_line(daemon: Daemon) -> None:
-    with bridge("--stream", daemon.endpoint) as process:
+    with bridge(daemon.endpoint) as process:
         until(lambda: process.poll() is not None, lambda: daemon.say(v=1))
         assert process.returncode == 1
         said = process.stderr.read()
@@ -165,7 +165,7 @@ def test_the_service_manager_is_told_that_the_bridge_is_ready_alive_and_how_it_i
         manager.settimeout(PATIENCE_S)
         monkeypatch.setitem(ENVIRONMENT, "NOTIFY_SOCKET", str(tmp_path / "notify"))
         monkeypatch.setitem(ENVIRONMENT, "WATCHDOG_USEC", "200000")
-        with bridge("--stream", daemon.endpoint) as process:
+        with bridge(daemon.endpoint) as process:
             assert manager.recv(1000) == b"READY=1"
             said: list[str] = []
 
@@ -187,7 +187,7 @@ def test_a_reader_that_hangs_costs_the_others_nothing(
     came = tmp_path / "came"
     with (
         running(sys.executable, "-c", HANGING, str(came)) as hanging,
-        bridge("--stream", daemon.endpoint),
+        bridge(daemon.endpoint),
     ):
         until(came.exists, daemon.say)
         hanging.send_signal(signal.SIGSTOP)
@@ -233,15 +233,13 @@ def test_why_no_sensor_pose_comes_is_said_after_a_while(robot: Robot, tmp_path: 
         assert line == f"no sensor pose: no PoseStamped comes on /arm/skim; {cure}"
 
 
-STREAM = ("--stream", "ipc:///tmp/x")
+STREAM = ("ipc:///tmp/x",)
 
 
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ((), "CONFIG or --stream: name the daemon's configuration, or its stream"),
-        (("--stream", "foo"), "--stream: 'foo' is no endpoint; use ipc:///path or tcp://127.0.0.1"),
-        (("--stream", "tcp://robot:1"), "--stream: 'tcp://robot:1' is not local; use"),
+        (("tcp://robot:1",), "endpoint: 'tcp://robot:1' is not local; use"),
         (
             (*STREAM, "--sensor-topic", "/skin"),
             "sensor_pose.endpoint: is not in CONFIG, so the daemon takes no poses; set it, as to",

@@ -33,7 +33,7 @@ def test_fast_dds_reads_the_poses_of_the_bridge(peer: str, daemon: Daemon, tmp_p
     said = tmp_path / "said"
     with (
         running("sh", "-c", f"exec {peer} hear {DOMAIN} >{said}"),
-        bridge("--stream", daemon.endpoint, "--frame", "table"),
+        bridge(daemon.endpoint, "--frame", "table"),
     ):
         until(lambda: said.exists() and "\n" in said.read_text(), daemon.say)
     _, frame, *numbers = said.read_text().splitlines()[0].split()

@@ -58,7 +58,6 @@ def test_bash_completes_commands_options_choices_and_files() -> None:
     assert set(COMMANDS) <= completed("")
     for name, command in COMMANDS.items():
         assert set(command._option_string_actions) <= completed(name, "-")
-    assert completed("run", "--log-level", "") == {"debug", "info", "warning", "error"}
     assert completed("ru") == {"run"}
     assert completed("run", "READ") == {"README.md"}
 

@@ -11,6 +11,7 @@ import pytest
 from taxeld import cli, command_line
 from taxeld.config.tables import ControlConfig, PublishConfig
 from taxeld.door import limits as door
+from taxeld.service.doorkeeper import CHANGE_GROUP
 from taxeld_ros2 import cli as bridge
 
 ROOT = Path(__file__).parents[2]
@@ -97,7 +98,7 @@ def test_the_unit_of_the_bridge_and_the_options_it_proposes_start_what_its_comma
         command, *arguments = started.split()
         assert command == "/usr/lib/taxeld/bin/taxeld-ros2"
         args = bridge._parser().parse_args(arguments)
-        assert args.config == Path("/etc/taxeld/can0.toml")
+        assert args.daemon == "/etc/taxeld/can0.toml"
         assert args.command is bridge._run
         assert args.sensor_topic == ("/arm/skin" if more else "")
 
@@ -115,7 +116,7 @@ def test_the_units_hold_what_the_code_has() -> None:
         assert endpoint.startswith(f"ipc:///run/{directory}/")
     made = (SYSTEMD / "taxeld.sysusers").read_text(encoding="utf-8")
     assert re.search(rf"^u {unit['User'][0]} ", made, re.MULTILINE)
-    assert re.search(rf"^g {ControlConfig().group} ", made, re.MULTILINE)
+    assert re.search(rf"^g {CHANGE_GROUP} ", made, re.MULTILINE)
     assert f'GROUP="{unit["Group"][0]}"' in RULES.read_text(encoding="utf-8")
     assert int(unit["LimitNOFILE"][0]) == door.DESCRIPTORS
     bytes_max = int(unit["MemoryMax"][0].removesuffix("G")) << 30

@@ -33,7 +33,6 @@ SINGLE = ("proposals", "recognise")  # experiments of one layout
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments."""
-    command_line.one_thread()
     return command_line.main(_parser(), argv, "taxeld-train: ")
 
 

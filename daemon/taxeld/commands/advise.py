@@ -9,23 +9,18 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taxeld.advice.advice import Advice, Advisor, Approach
 from taxeld.advice.lines import Reach
-from taxeld.commands.unanswered import unanswered
+from taxeld.commands import running
+from taxeld.commands.replay import pipeline_of
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.history import Arrays, scans_of
-from taxeld.layout import read as layouts
 from taxeld.model import se2
-from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import several
-from taxeld.service import calibration_file
-from taxeld.stream import client
 
 LOOK_S = 0.2  # pause between two questions
 OTHER = "the daemon has another scene, skin or filter than this configuration: name the one it runs"
@@ -36,20 +31,11 @@ class Adviser:
 
     def __init__(self, config: Config, reach: Reach | None = None) -> None:
         """Raises SetupError where a file that the configuration names cannot be used."""
-        skins = [layouts.load(one.skin.layout) for one in config.each]
-        bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
-        if not bundles:
+        if not config.scene.names:
             raise SetupError("scene.bundle: is empty; advice is on an object")
-        config = several.sized(config, [one.manifest for one in bundles])
-        samples = several.untimed(bundles, config.filter)
-        calibrations = [
-            calibration_file.load(one.skin, skin, time.time())
-            for one, skin in zip(config.each, skins, strict=True)
-        ]
-        models = [one.model for one in bundles]
-        pipeline = Pipeline(config, skins, models, samples, calibration=calibrations)
+        pipeline = pipeline_of(config, time.time())
         self._estimator = pipeline.estimator
-        self._mounts = [None if one is None else one.mount for one in calibrations]
+        self._mounts = [stage.poses.mount for stage in pipeline.stages]
         self._advisor = Advisor(self._estimator, reach)
 
     def advise(self, memory: Arrays) -> Advice:
@@ -74,38 +60,32 @@ class Adviser:
         return replace(one, before=before, at=at, until=until)
 
 
-def remembered(endpoint: str, keys: Path | None = None) -> Arrays:
+def remembered(endpoint: str) -> Arrays:
     """The scans that the daemon at a control endpoint remembers, as `estimator.history` packs them.
 
     Raises:
         SetupError: no daemon answers, or it has felt nothing yet.
     """
-    answer = client.ask(endpoint, "memory", keys)
-    if answer is None:
-        raise SetupError(unanswered(endpoint))
-    if not answer.get("ok"):
-        raise SetupError(f"{endpoint}: {answer.get('error', 'an answer of another kind')}")
-    with np.load(io.BytesIO(answer["memory"]), allow_pickle=False) as arrays:
+    packed = running.answer(endpoint, "memory")["memory"]
+    with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
         return dict(arrays)
 
 
-def advise(config: Config, reach: Reach | None = None, keys: Path | None = None) -> Advice:
+def advise(config: Config, reach: Reach | None = None) -> Advice:
     """Where to touch next: by what the daemon of a configuration has felt so far.
 
     Raises:
         SetupError: it does not answer, has felt nothing, or has another configuration.
     """
-    return Adviser(config, reach).advise(remembered(config.control.endpoint, keys))
+    return next(follow(config, reach, lambda: False))
 
 
-def follow(
-    config: Config, reach: Reach, keys: Path | None, stopping: Callable[[], bool]
-) -> Iterator[Advice]:
+def follow(config: Config, reach: Reach | None, stopping: Callable[[], bool]) -> Iterator[Advice]:
     """Advice now, and each time that the daemon has felt more, until `stopping`. Raises
     SetupError, as `advise`."""
     adviser, before = Adviser(config, reach), None
     while not stopping():
-        memory = remembered(config.control.endpoint, keys)
+        memory = remembered(config.control.endpoint)
         if memory["changes"].tolist() != before:
             before = memory["changes"].tolist()
             yield adviser.advise(memory)
@@ -114,16 +94,13 @@ def follow(
 
 def as_json(advice: Advice, names: tuple[str, ...]) -> str:
     """One line of JSON; `names` are of the links."""
-    approaches = [_plain(one) | {"name": names[one.link]} for one in advice.approaches]
+    approaches = []
+    for one in advice.approaches:
+        poses = {name: getattr(one, name).tolist() for name in ("before", "at", "until")}
+        named = {name: dict(zip(("x", "y", "theta"), p, strict=True)) for name, p in poses.items()}
+        approaches.append(asdict(one) | named | {"name": names[one.link]})
     found = {"contacts": advice.contacts, "enough": advice.is_enough, "approaches": approaches}
     return json.dumps(found)
-
-
-def _plain(one: Approach) -> dict[str, Any]:
-    found = asdict(one)
-    for name in ("before", "at", "until"):
-        found[name] = dict(zip(("x", "y", "theta"), found[name].tolist(), strict=True))
-    return found
 
 
 def lines(advice: Advice, names: tuple[str, ...]) -> Iterator[str]:

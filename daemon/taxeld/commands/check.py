@@ -19,7 +19,7 @@ from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle, choice, several
 from taxeld.service import calibration_file
 from taxeld.source.buses import check_uids, joint
-from taxeld.source.device import BusyError
+from taxeld.source.device import AwayError, BusyError
 from taxeld.source.devices import open_device
 from taxeld.source.socketcan_device import bring_up
 from taxeld.source.sources import live
@@ -37,23 +37,23 @@ ALONE = "scene.bundle: is empty: the skin is served alone, and nothing is estima
 
 POSES_USUAL = "tcp://127.0.0.1:9874"  # address in the documents and examples
 HEAR_POSES_S = 0.3
+ASK_S = 0.5  # for a daemon to answer
 POSES_UNUSED = (
     f"sensor_pose.endpoint: is empty, so the sensor is taken to stand still; but a robot publishes "
     f'its poses at {POSES_USUAL}: set endpoint = "{POSES_USUAL}" if the sensor is on it'
 )
 
 
-def faults(config: Config, is_running: bool = False) -> list[str]:
-    """Lines on the faults of a configuration with valid keys, each with its path. While a daemon
-    `is_running` with the configuration, a device or endpoint in use is no fault."""
-    found: list[str] = []
+def faults(config: Config) -> list[str]:
+    """Lines on the faults of a configuration with valid keys, each with its path. Where a daemon
+    answers at its control endpoint, a device or endpoint in use is no fault."""
+    found, busy = list[str](), list[str]()
 
     def attempt(step: Callable[..., object], *args: object) -> None:
         try:
             step(*args)
         except (BusyError, NotNowError) as error:
-            if not is_running:
-                found.append(str(error))
+            busy.append(str(error))
         except SetupError as error:
             found.append(str(error))
 
@@ -71,11 +71,8 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
 
     attempt(use_layouts)
     for bus, _ in config.buses:
-        # python-can's drivers have no error of their own for a device in use
-        is_silent_on_use = bus.interface not in ("socketcan", "slcan")
-        may_be_used = is_running and bus.kind == "can" and is_silent_on_use
-        if bus.kind in ("can", "serial") and not may_be_used:
-            attempt(lambda one: open_device(one).close(), bus)
+        if bus.kind in ("can", "serial"):
+            attempt(_open, bus)
     attempt(_read_keys, config)
     for key, named in (
         ("publish.endpoints", config.publish.endpoints),
@@ -85,7 +82,19 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
     ):
         for endpoint in filter(None, named):
             attempt(_serve, endpoint, key)
-    return found
+    control = config.control.endpoint
+    is_running = busy and control and client.ask(control, "info", ASK_S) is not None
+    return found if is_running else found + busy
+
+
+def _open(source: SourceConfig) -> None:
+    """Open a device for a moment. python-can's drivers have no error for one that is in use."""
+    try:
+        open_device(source).close()
+    except AwayError as error:
+        if source.kind == "can" and source.interface not in ("socketcan", "slcan"):
+            raise BusyError(str(error)) from None
+        raise
 
 
 def notes(config: Config) -> list[str]:

@@ -21,6 +21,7 @@ KNOWN = (
     "candump -l and -L, files that python-can reads by their ending "
     f"({' '.join(logs.PYTHON_CAN)}), and serial.bin are read"
 )
+ONE = "keep those of the skin's, as by grep ' can0 ' LOG"
 HUBS_NAMED = 8  # in a line
 
 Listed = tuple[tuple[int, ...], ...]  # as `source.modules`
@@ -44,17 +45,16 @@ def of_session(path: Path) -> Listed:
     return ()
 
 
-def decode(path: Path, given: ListedModules | None = None, interface: str = "") -> Iterator[str]:
-    """The log's scans and a last line {"stats": …}. `interface`: the one to decode, where the log
-    has several.
+def decode(path: Path, given: ListedModules | None = None) -> Iterator[str]:
+    """The log's scans and a last line {"stats": …}.
 
     A hub's module table comes from its DECLARE and DETAILS answers, wherever in the log they stand;
     else from `given`; else full modules are assumed, as many as the hub's packets reach, which is
     logged, and told as "assumed".
 
     Raises:
-        SetupError: the log is unreadable or has no frame, the interface is ambiguous, or `given`
-            lacks a hub. Scans before that place have been yielded.
+        SetupError: the log is unreadable or has no frame, or frames of several interfaces, or
+            `given` lacks a hub. Scans before that place have been yielded.
     """
     if path.exists() and not path.is_file():
         raise SetupError(
@@ -65,91 +65,60 @@ def decode(path: Path, given: ListedModules | None = None, interface: str = "") 
 
     @cache  # needed only for a hub that streams before it has declared its modules
     def tables() -> dict[int, Sequence[Module]]:
-        return _tables(path, interface, given, assumed)
+        return _tables(path, given, assumed)
 
-    decoder = Decoder(lambda ihb: tables().get(ihb, ()))
-    whole = _Pass(path, decoder, interface)
-    for _, scans in whole.heard():
-        yield from map(_line, scans)
+    damage, decoder = logs.Damage(), Decoder(lambda ihb: tables().get(ihb, ()))
+    wire = Wire(decoder)
+    for heard in _heard(path, decoder, wire, damage):
+        yield from map(_line, heard.scans)
     yield from map(_line, decoder.flush())
-    yield _json({"stats": {**whole.stats(), "assumed": assumed}})
-    if whole.damage.count:
+    stats = wire.stats() if _is_serial(path) else decoder.stats()
+    yield _json({"stats": {**stats, "bad_lines": damage.count, "assumed": assumed}})
+    if damage.count:
         log.warning(
             "%s: left out what is damaged or no frame (counted as %d bad_lines), at first %s",
             path,
-            whole.damage.count,
-            whole.damage.first,
+            damage.count,
+            damage.first,
         )
 
 
-class _Pass:
-    """One pass through a log: the frames of one interface, through a decoder."""
+def _is_serial(path: Path) -> bool:
+    return path.suffix.lower() == logs.SERIAL_ENDING
 
-    def __init__(self, path: Path, decoder: Decoder, interface: str) -> None:
-        self.damage = logs.Damage()
-        self._path = path
-        self._decoder = decoder
-        self._interface = interface
-        self._wire: Wire | None = None
-        if path.suffix.lower() == logs.SERIAL_ENDING:
-            self._wire = Wire(decoder)
 
-    def heard(self) -> Iterator[Decoded]:
-        """Packets and scans from the decoder.
-
-        Raises:
-            SetupError: the log is unreadable, or has frames of other interfaces or none.
-        """
-        if self._wire is None:
-            yield from self._of_frames()
-            return
-        if self._interface:
-            raise SetupError(f"--interface: {self._path} is of a serial line; leave this out")
-        for chunk in logs.chunks(self._path, self.damage):
-            yield from self._wire.data(chunk.data, chunk.t)
-        if not self._wire.packets:
-            raise SetupError(f"{self._path}: has no packet of a hub's serial link")
-
-    def stats(self) -> dict[str, object]:
-        """Counters of the decoder and of a serial line, and the amount of damage."""
-        stats = self._decoder.stats() if self._wire is None else self._wire.stats()
-        return {**stats, "bad_lines": self.damage.count}
-
-    def _of_frames(self) -> Iterator[Decoded]:
-        feed, drop, wanted = self._decoder.feed, self._decoder.drop_foreign, self._interface
-        names: set[str] = set()
-        for name, frame in logs.frames(self._path, self.damage):
-            if name not in names:
-                names.add(name)
-                if not wanted and len(names - {""}) > 1:
-                    raise SetupError(
-                        f"{self._path}: has frames of several interfaces, "
-                        f"{', '.join(sorted(names - {''}))}; name the skin's with --interface"
-                    )
-            if wanted and name != wanted:
-                continue
-            if frame is None:
-                drop()
-                continue
-            packet, scans = feed(frame)
-            if packet is not None or scans:
-                yield Decoded(packet, scans)
-        if not names:
-            first = f" ({self.damage.first})" if self.damage.count else ""
-            raise SetupError(f"{self._path}: has no frame{first}; {KNOWN}")
-        if wanted and wanted not in names:
-            named = ", ".join(sorted(names - {""}))
-            cure = f"it has those of {named}" if named else "it names no interface; leave this out"
-            raise SetupError(f"--interface: {self._path} has no frame of {wanted}; {cure}")
+def _heard(path: Path, decoder: Decoder, wire: Wire, damage: logs.Damage) -> Iterator[Decoded]:
+    """Packets and scans of a log, by a decoder, and by its wire where it is of a serial line."""
+    if _is_serial(path):
+        for chunk in logs.chunks(path, damage):
+            yield from wire.data(chunk.data, chunk.t)
+        if not wire.packets:
+            raise SetupError(f"{path}: has no packet of a hub's serial link")
+        return
+    names: set[str] = set()
+    for name, frame in logs.frames(path, damage):
+        names.add(name)
+        if len(names - {""}) > 1:
+            several = ", ".join(sorted(names - {""}))
+            raise SetupError(f"{path}: has frames of several interfaces, {several}; {ONE}")
+        if frame is None:
+            decoder.drop_foreign()
+            continue
+        packet, scans = decoder.feed(frame)
+        if packet is not None or scans:
+            yield Decoded(packet, scans)
+    if not names:
+        first = f" ({damage.first})" if damage.count else ""
+        raise SetupError(f"{path}: has no frame{first}; {KNOWN}")
 
 
 def _tables(
-    path: Path, interface: str, given: ListedModules | None, assumed: list[int]
+    path: Path, given: ListedModules | None, assumed: list[int]
 ) -> dict[int, Sequence[Module]]:
     """The module table of each hub of the log; `assumed` is given the hubs whose table is."""
     decoder = Decoder()
     reached: dict[int, int] = {}  # hub → channels of full modules that its packets reach
-    for packet, _ in _Pass(path, decoder, interface).heard():
+    for packet, _ in _heard(path, decoder, Wire(decoder), logs.Damage()):
         if packet is not None and packet.command == Command.SENSOR_DATA and packet.payload:
             module, channel, values = *packet.payload[:2], len(packet.payload) // 2 - 1
             end = module * NAMES + channel + values

@@ -29,7 +29,7 @@ SOURCES = {  # connection as named by `taxeld-hil accept` → keys of [source]
 FORMS = "can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0 or array:ENDPOINT"
 QUESTIONS = {  # by option
     "source": f"the skin's connection, {FORMS}",
-    "bundle": "the object: box, drill, mug, or the directory of a bundle",
+    "bundle": "the object: box, drill, mug, or the directory of a bundle; empty for the skin alone",
     "layout": "the skin's layout, as the bundle was built for",
     "poses": "where the robot publishes the sensor's pose, tcp://HOST:PORT; empty if the sensor "
     "stands still",
@@ -40,9 +40,8 @@ OPTIONAL = ("poses", "where")  # these may stay without an answer
 
 
 def write(path: Path, options: Mapping[str, Any]) -> Config:
-    """Write the configuration of the options `source`, `bundle`, `layout`, `poses`, `where`,
-    `no_object` and `keys`; a person at the terminal is asked for those of `QUESTIONS` that are
-    None.
+    """Write the configuration of the options of `QUESTIONS`; a person at the terminal is asked for
+    those that are None.
 
     Raises:
         SetupError: an answer is missing or cannot be used, or the file exists already.
@@ -87,8 +86,7 @@ def _toml(value: object) -> str:
 def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
     """The keys that follow from the options and the answers."""
     source = _source(_answer(options, "source"))
-    is_alone = options.get("no_object", False)
-    named = "" if is_alone else _answer(options, "bundle")
+    named = _answer(options, "bundle")
     depth_m, own = SkinConfig().full_scale_depth_m, ""
     if named:
         built = bundle.manifest_of(named)  # refuses a directory that is no bundle
@@ -104,21 +102,18 @@ def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
     least_ms = 0 if planned.kind == "array" else least_period_ms(planned, placed)
     if least_ms > planned.period_ms:
         source["period_ms"] = least_ms
-    keys = options["keys"]
     return {
         "scene": {"bundle": _from(path, named)} if named else {},
         "source": source,
         "skin": skin,
         "sensor_pose": {"endpoint": poses} if poses else {},
-        "filter": {} if is_alone else _square(_answer(options, "where")),
-        "curve": {"directory": str(Path(keys).absolute())} if keys else {},
+        "filter": _square(_answer(options, "where")) if named else {},
     }
 
 
 def _answer(options: Mapping[str, Any], option: str) -> str:
     """An option's value, or the answer of a person at the terminal."""
-    if options[option] is not None:
-        given = options[option]
+    if (given := options[option]) is not None:
         return given if isinstance(given, str) else " ".join(given)
     question = QUESTIONS[option]
     if not (sys.stdin.isatty() and sys.stderr.isatty()):

@@ -135,7 +135,8 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     where = str(directory) if session.has_poses(directory) else ""
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
     try:
-        skins = [layouts.load(one.skin.layout) for one in config.each]
+        for one in config.each:
+            layouts.load(one.skin.layout)
         for name in config.scene.names:
             bundle.find(name, "scene.bundles" if config.scene.bundles else bundle.KEY)
     except SetupError as error:
@@ -143,21 +144,27 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
             f"{error}; a session does not hold its layout and its bundle: name them in "
             f"{directory / session.CONFIG}, by whole paths, or in another file with --config"
         ) from None
-    begun = session.begun(directory) if any(one.skin.calibration for one in config.each) else 0.0
+    begun_s = session.begun(directory) if any(one.skin.calibration for one in config.each) else 0.0
+    return pipeline_of(config, begun_s, recorded=True)
+
+
+def pipeline_of(config: Config, now_s: float, *, recorded: bool = False) -> Pipeline:
+    """The pipeline of a configuration, which takes the bundle's first choice for `auto`, whatever
+    it costs here, and places each scan between two known poses. `now_s`, `recorded`: for the age of
+    calibrations.
+
+    Raises:
+        SetupError: a file named by the configuration cannot be used.
+    """
+    skins = [layouts.load(one.skin.layout) for one in config.each]
     calibration = [
-        calibration_file.load(one.skin, layout, begun, recorded=True)
+        calibration_file.load(one.skin, layout, now_s, recorded=recorded)
         for one, layout in zip(config.each, skins, strict=True)
     ]
     bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
     config = several.sized(config, [one.manifest for one in bundles])
-    return Pipeline(
-        config,
-        skins,
-        [one.model for one in bundles],
-        several.untimed(bundles, config.filter),
-        calibration=calibration,
-        extrapolate_s=0.0,  # all poses are known, so each scan is placed between two
-    )
+    models, samples = [one.model for one in bundles], several.untimed(bundles, config.filter)
+    return Pipeline(config, skins, models, samples, calibration=calibration, extrapolate_s=0.0)
 
 
 def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:

@@ -67,20 +67,18 @@ class Signals:
             log.warning("the loop is at\n%s", "".join(traceback.format_stack(frame)).rstrip())
 
 
-def reload(path: Path, config: Config, level: str | None = None) -> None:
-    """Take from the configuration what can be taken while it runs; the rest needs a restart.
-    `level`: of the log, which the command line has set."""
+def reload(path: Path, config: Config) -> None:
+    """Take from the configuration what can be taken while it runs; the rest needs a restart."""
     try:
         new = config_file.load(path)
     except ConfigError as error:
         log.error("%s; going on as before", "; ".join(error.faults))
         return
-    level = level or new.log.level
-    service_log.set_level(level)
+    service_log.set_level(new.log.level)
     names = (name for name in Config.__dataclass_fields__ if name != "log")
     others = [name for name in names if getattr(new, name) != getattr(config, name)]
     rest = f"; a restart is needed for what changed in {', '.join(others)}" if others else ""
-    log.warning("%s: read again, log.level is %s%s", path, level, rest)
+    log.warning("%s: read again, log.level is %s%s", path, new.log.level, rest)
 
 
 def dump(state: Mapping[str, object]) -> None:

@@ -1,5 +1,6 @@
 """Asking a running daemon over its control endpoint."""
 
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from taxeld.stream.sockets import connect, open_socket, unpack
 ANSWER_BYTES = 1 << 24  # the most scans of 5000 taxels have 8 MB
 TIMEOUT_S = 2.0
 AGAIN_S = 0.5  # without an answer for so long, the daemon may have closed its socket: ask anew
+KEYS = "TAXELD_KEYS"  # in the environment: a directory of SERVER and OWN, for a daemon beyond here
 SERVER, OWN = "server.key", "client.key_secret"
 
 
@@ -25,19 +27,17 @@ def hears(endpoint: str, topic: bytes, within_s: float) -> bool:
         open_socket(context, zmq.SUB, send=1, receive=1, largest=ANSWER_BYTES) as socket,
     ):
         socket.setsockopt(zmq.SUBSCRIBE, topic)
-        connect(socket, endpoint, "--endpoint")
+        connect(socket, endpoint, "endpoint")
         return bool(socket.poll(round(within_s * 1000)))
 
 
 def ask(
     endpoint: str,
     command: str,
-    keys: Path | None = None,
     timeout_s: float | None = None,
     **what: object,
 ) -> dict[str, Any] | None:
-    """The answer, or None where none comes; `what` are further keys of the request; `keys` is a
-    directory with server.key and client.key_secret, for a daemon that takes keys.
+    """The answer, or None where none comes; `what` are further keys of the request.
 
     Raises:
         SetupError: the endpoint is none, or a key cannot be used.
@@ -45,7 +45,7 @@ def ask(
     deadline_s = time.monotonic() + (TIMEOUT_S if timeout_s is None else timeout_s)
     with zmq.Context() as context:
         while (left_s := deadline_s - time.monotonic()) > 0.0:
-            with client_socket(context, zmq.REQ, endpoint, keys) as socket:
+            with client_socket(context, zmq.REQ, endpoint) as socket:
                 socket.send(msgpack.packb({"cmd": command} | what))
                 if socket.poll(round(min(left_s, AGAIN_S) * 1000)):
                     return unpack(socket.recv())
@@ -53,30 +53,23 @@ def ask(
 
 
 def client_socket(
-    context: zmq.Context[Any],
-    kind: int,
-    endpoint: str,
-    keys: Path | None,
-    option: str = "--endpoint",
-    *,
-    send: int = 1,
-    receive: int = 1,
+    context: zmq.Context[Any], kind: int, endpoint: str, *, send: int = 1, receive: int = 1
 ) -> zmq.Socket[Any]:
-    """A socket that is connected to a daemon and keeps `send` and `receive` messages; `option` is
-    the argument that named the endpoint.
+    """A socket that is connected to a daemon and keeps `send` and `receive` messages.
 
     Raises:
         SetupError: the endpoint is none, or a key cannot be used.
     """
-    fault = endpoints.fault(endpoint, keys is not None)
+    keys = os.environ.get(KEYS)
+    fault = endpoints.fault(endpoint, bool(keys))
     if fault:
-        raise SetupError(f"{option}: {fault.replace('set curve.directory', 'name --keys')}")
+        raise SetupError(f"endpoint: {fault.replace('set curve.directory', f'set {KEYS}')}")
     socket = open_socket(context, kind, send=send, receive=receive, largest=ANSWER_BYTES)
     try:
-        if keys is not None and endpoint.startswith(endpoints.TCP):
-            own = curve.secret_key(keys / OWN, "--keys")
-            curve.as_client(socket, curve.public_key(keys / SERVER, "--keys"), *own)
-        connect(socket, endpoint, option)
+        if keys and endpoint.startswith(endpoints.TCP):
+            own = curve.secret_key(Path(keys, OWN), KEYS)
+            curve.as_client(socket, curve.public_key(Path(keys, SERVER), KEYS), *own)
+        connect(socket, endpoint, "endpoint")
     except SetupError:
         socket.close()
         raise

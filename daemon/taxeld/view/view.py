@@ -6,18 +6,21 @@ import os
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 
 import rerun as rr
 
+from taxeld.commands import running
 from taxeld.commands.replay import Replay
-from taxeld.errors import SetupError
+from taxeld.commands.running import Message
+from taxeld.errors import SetupError, WorkError
 from taxeld.source import session
 from taxeld.stream import messages
 from taxeld.view.picture import DRAWN, Picture
-from taxeld.view.streams import Message, Subscriber
 
 ANSWER_S = 5.0  # a running daemon has said who it is by then
+PAUSE: Message = b"", {}  # nothing came
 LOOK_S = 0.2  # pause between two looks whether to end
 PARTICLES_S = 0.05  # between two clouds of particles, as the daemon sends them
 VIEWER = str(Path(rr.__file__).parents[1] / "rerun_cli" / "rerun")
@@ -27,17 +30,47 @@ OPTIONS = "-", "--bind=127.0.0.1", "--port=auto", "--memory-limit=2GB", "--hide-
 Ends = Callable[[], bool]
 
 
-def live(endpoint: str, keys: Path | None, ends: Ends) -> Iterator[Message]:
-    """What a daemon publishes; nothing where none answers. An empty message is a pause. Raises
-    SetupError as a `Subscriber` does."""
+def run(source: str, save: Path | None, seconds: float, ends: Ends) -> str:
+    """Show the daemon or session that `source` names, or `save` what it shows: the first `seconds`
+    of scans, until `ends`; → a line on it.
+
+    Raises:
+        SetupError: the source, the screen or the file cannot be used.
+        WorkError: no daemon answers.
+    """
+    if not seconds > 0.0:
+        raise SetupError("--seconds: must be more than 0")
+    if source and "://" not in source and Path(source).suffix != ".toml":
+        picture, heard = recorded(Path(source))
+    else:
+        picture, heard = Picture(), live(running.endpoint_of(source, running.PUBLISH), ends)
+        heard = chain([next(heard, PAUSE)], heard)  # no window or file before a daemon answers
+    heard = begun(heard, seconds, ends)
+    if save is None:
+        show(picture, heard, ends)
+        return "the window is closed"
+    write(picture, heard, save)
+    return f"written: {save}; see it with: rerun {save}"
+
+
+def live(endpoint: str, ends: Ends) -> Iterator[Message]:
+    """What a daemon publishes, and pauses.
+
+    Raises:
+        SetupError: the endpoint is none, or a key cannot be used.
+        WorkError: no daemon answers.
+    """
     until_s = time.monotonic() + ANSWER_S
-    with contextlib.closing(Subscriber(endpoint, keys, [messages.INFO, *DRAWN])) as streams:
-        while not ends() and time.monotonic() < until_s:
+    topics = [messages.INFO, *DRAWN]
+    with contextlib.closing(running.Subscriber(endpoint, topics)) as streams:
+        while not ends():
             for message in streams.wait(LOOK_S):
                 until_s = math.inf
                 yield message
             if until_s == math.inf:
-                yield b"", {}
+                yield PAUSE
+            elif time.monotonic() > until_s:
+                raise WorkError(running.unanswered(endpoint))
 
 
 def recorded(directory: Path) -> tuple[Picture, Iterator[Message]]:
@@ -75,7 +108,7 @@ def begun(heard: Iterable[Message], seconds: float, ends: Ends) -> Iterator[Mess
         yield topic, message
 
 
-def save(picture: Picture, heard: Iterable[Message], path: Path) -> None:
+def write(picture: Picture, heard: Iterable[Message], path: Path) -> None:
     """Draw into an .rrd file. Raises SetupError where it cannot be written."""
     try:
         path.open("ab").close()  # else another thread meets the fault

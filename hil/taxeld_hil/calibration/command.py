@@ -21,6 +21,8 @@ from taxeld_hil.calibration.calibrate import MOST_LEFT, Result, of_session
 from taxeld_hil.calibration.guided import Guided
 from taxeld_hil.calibration.picture import draw
 
+IDLE_S, PRESSES = 60.0, 20  # seconds without touch, and presses, that are asked for
+
 _say = partial(print, flush=True)
 
 
@@ -43,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
             )
         config = load(args.source)
         directory = Guided.place(args.out)
-        guided = Guided(config, args.source, directory, args.idle_s, args.presses, _say)
+        guided = Guided(config, args.source, directory, IDLE_S, PRESSES, _say)
         signal.signal(signal.SIGTERM, lambda *_: guided.stop())
         signal.signal(signal.SIGINT, lambda *_: guided.stop())
         if not guided.run():

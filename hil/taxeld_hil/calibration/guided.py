@@ -18,7 +18,7 @@ from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.proposals import several
 from taxeld.source import session
-from taxeld_hil.calibration.calibrate import LEAST_IDLE_S, LEAST_PRESSES, covered, sides
+from taxeld_hil.calibration.calibrate import LEAST_PRESSES, covered, sides
 from taxeld_hil.calibration.observer import Observer, uncalibrated
 from taxeld_protocol.decoder import Scan
 
@@ -45,10 +45,6 @@ class Guided:
         Raises:
             SetupError: the configuration has no robot, or something in it cannot be used.
         """
-        if idle_s < LEAST_IDLE_S:
-            raise SetupError(f"--idle-s: must be {LEAST_IDLE_S:g} or more, not {idle_s:g}")
-        if presses < LEAST_PRESSES:
-            raise SetupError(f"--presses: must be {LEAST_PRESSES} or more, not {presses}")
         if not config.sensor_pose.endpoint:
             raise SetupError(
                 "sensor_pose.endpoint: is empty; a calibration needs the robot's poses"

@@ -67,14 +67,14 @@ def graded(
     scenario = site.placed(scenario.one_link())
     scene = load_model(scenario).scene
     config = settings.text(scenario, 0, channel, site.poses, place)
-    written = write_config(directory, config)
+    written = write_config(directory, config + '[log]\nlevel = "warning"\n')
     not_injected = tuple(kind for kind in KINDS if kind not in POSSIBLE)
     judge = Judge(scenario, scene, site.truth, not_injected, lambda _: [])
     with ExitStack() as stack:
         context = stack.enter_context(zmq.Context())
         stream = f"ipc://{place}/stream"
         listener = Listener(stack, context, stream, judge, ContactTable(scene, site.truth), say)
-        processes = Processes(written, stream, scenario, "warning")
+        processes = Processes(written, stream, scenario)
         stack.callback(processes.kill)
         processes.start()
         say(f"touch the object {scenario.contacts} times, after a second of touching nothing")

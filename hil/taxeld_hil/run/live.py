@@ -26,7 +26,7 @@ START_S = 60.0  # until the first estimate; a busy machine has taken 20 s
 STEP_MS = 2
 COUNTED_S = 20.0  # at most, until the daemon has counted all that it was sent
 DRAIN_S = 0.2
-LOG_LEVEL = "error"  # the daemon warns of injected faults; the ledger has them already
+QUIET = '[log]\nlevel = "error"\n'  # the daemon warns of injected faults, which are in the ledger
 NOT_INJECTED = {  # transport → kinds of faults
     "can": ("unplugged", "adapter_closed"),  # something else brings the interface up and down
     "native": ("adapter_closed",),
@@ -89,7 +89,7 @@ class LiveRun:
         scenario, rig = self.scenario, Rig(self.scenario, self.run.seed)
         where: Path | str = self._channel if scenario.transport == "can" else place / "skin"
         config = settings.text(scenario, self.run.seed, str(where), f"ipc://{place}/poses", place)
-        written = write_config(self._directory, config)
+        written = write_config(self._directory, config + QUIET)
         self._place = place
         with ExitStack() as stack:
             context = stack.enter_context(zmq.Context())
@@ -101,7 +101,7 @@ class LiveRun:
                 stack, context, stream, self._judging(rig), self._table(rig), self._say
             )
             self._advice = AdviceThread(written) if scenario.advised else None
-            self.processes = Processes(written, stream, scenario, LOG_LEVEL)
+            self.processes = Processes(written, stream, scenario)
             stack.callback(self.processes.kill)
             self.processes.start()
             yield bench

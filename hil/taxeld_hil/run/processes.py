@@ -77,15 +77,15 @@ class Process:
 class Processes:
     """The daemon, and a subscriber that shows by printing that it works; either may be killed."""
 
-    def __init__(self, config: Path, endpoint: str, scenario: Scenario, log_level: str) -> None:
-        """`config`: the daemon's file; `endpoint`: where it publishes; `log_level`: its log's.
+    def __init__(self, config: Path, endpoint: str, scenario: Scenario) -> None:
+        """`config`: the daemon's file; `endpoint`: where it publishes.
 
         Raises:
             SetupError: the daemon would refuse the bundle on this layout.
         """
         known = SceneConfig(bundles=scenario.known)
         several.load(known, [layouts.load(scenario.skin_layout)])
-        run = ("run", "--log-level", log_level, str(config))
+        run = ("run", str(config))
         self._printed = tempfile.TemporaryFile()  # noqa: SIM115  (for as long as this lives)
         self._bytes = 0  # bytes printed by the subscriber
         self.daemon = Process("the daemon", "-m", "taxeld.cli", *run)
