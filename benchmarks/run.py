@@ -75,8 +75,8 @@ def touches() -> list[Row]:
     sensors = se2.inverse(pressed)  # the object stands at the origin
     live = np.ones(len(skin), dtype=bool)
     rows: list[Row] = []
-    shipped = loaded.info["auto"][0]
-    by_c = ["projection", *(s["name"] for s in loaded.info["samplers"])]
+    shipped = loaded.order[0]
+    by_c = ["projection", *(s.name for s in loaded.manifest.samplers)]
     for name, switch in [*((name, "1") for name in by_c), (shipped, "0")]:
         os.environ[native.SWITCH] = switch
         native.library.cache_clear()

@@ -1,9 +1,8 @@
-"""A bundle that cannot be used is one line and exit status 2, from `check` as from `run`."""
+"""A bundle that cannot be used, or that does not go with another, is one line."""
 
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,23 +10,23 @@ import numpy as np
 import onnx
 import pytest
 
-from taxeld.cli import main
-from taxeld.config.file import load
-from taxeld.config.tables import FilterConfig, SkinConfig
+from taxeld.commands import check
+from taxeld.config import file
+from taxeld.config.tables import FilterConfig, SceneConfig, SkinConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.layout.layout import Layout
-from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle, choice, manifest
-from taxeld.proposals.analytic import Projection, Table, check_contacts
-from taxeld.service.loop import Daemon
 from tests.rig.commands import refused
-from tests.rig.logged import warnings
 from tests.rig.recorded import golden, write_golden
 
-from .conftest import DEPTH_MAX_M, scene_of
+from .conftest import DEPTH_MAX_M
 
 Change = Callable[[Path], object]
+
+SKIN = layouts.load(SkinConfig().layout)
+USUAL = FilterConfig()
+ENOUGH = {"particles": 25, "particles_max": 90, "injected": 12}
+FAR = np.ones((5, 9, 9), dtype=np.float32)  # m, to an object that is nowhere
 
 
 @pytest.fixture
@@ -36,35 +35,28 @@ def box(tmp_path: Path) -> Path:
     return Path(shutil.copytree(bundle.find("box"), tmp_path / "box"))
 
 
-@pytest.fixture
-def skin_of_box() -> Layout:
-    return layouts.load(SkinConfig().layout)
+def used(*names: object, depth_m: float | None = DEPTH_MAX_M) -> None:
+    """Load bundles and open all that may be chosen."""
+    found = bundle.load_all(SceneConfig(bundles=tuple(map(str, names))), [SKIN], depth_m)
+    for name in choice.possible(found, USUAL):
+        for one in found:
+            one.open(name)
 
 
-def configured(box: Path, name: str = "") -> Path:
-    write_golden(box.parent)
-    return golden(box.parent, scene={"bundle": name or box})
+def fault(*names: object) -> str:
+    with pytest.raises(SetupError) as refusal:
+        used(*names)
+    assert str(refusal.value).isprintable()
+    return str(refusal.value)
 
 
-def fault(config: Path) -> str:
-    """The one line that `check` and `run` both end with."""
-    checked, ran = (refused(command, config) for command in ("check", "run"))
-    assert checked == ran
-    return ran
-
-
-def sealed(box: Path) -> None:
-    """Have bundle.json name the files as they are now."""
-    digests = {path.name: manifest.digest(path.read_bytes()) for path in box.glob("*.[no]*[zx]")}
-    about(lambda info: info.update(files=digests))(box)
-
-
-def about(change: Callable[[dict[str, Any]], object]) -> Change:
+def about(change: Callable[[dict[str, Any]], object] | None = None, **keys: object) -> Change:
     """A change of bundle.json."""
 
     def made(box: Path) -> None:
-        info = json.loads((box / "bundle.json").read_text(encoding="utf-8"))
-        change(info)
+        info = json.loads((box / "bundle.json").read_text(encoding="utf-8")) | keys
+        if change:
+            change(info)
         (box / "bundle.json").write_text(json.dumps(info), encoding="utf-8")
 
     return made
@@ -80,24 +72,21 @@ def content(name: str, data: bytes) -> Change:
     return lambda box: (box / name).write_bytes(data)
 
 
-def flipped(name: str) -> Change:
-    """One bit of a file is another."""
+def sealed(box: Path) -> None:
+    """Have bundle.json name the files as they are now."""
+    digests = {path.name: manifest.digest(path.read_bytes()) for path in box.glob("*.[no]*[zx]")}
+    about(files=digests)(box)
+
+
+def flipped(name: str, keep: float = 1.0) -> Change:
+    """One bit of a file is another; or it ends early, and was sealed so."""
 
     def made(box: Path) -> None:
         data = bytearray((box / name).read_bytes())
-        data[int(0.6 * len(data))] ^= 0x10
-        (box / name).write_bytes(data)
-
-    return made
-
-
-def cut_short(name: str, keep: float) -> Change:
-    """A file that ends early, and was sealed so."""
-
-    def made(box: Path) -> None:
-        data = (box / name).read_bytes()
+        data[int(0.6 * len(data))] ^= 0x10 * (keep == 1.0)
         (box / name).write_bytes(data[: int(keep * len(data))])
-        sealed(box)
+        if keep < 1.0:
+            sealed(box)
 
     return made
 
@@ -108,7 +97,7 @@ def scene(**values: Any) -> Change:
     def made(box: Path) -> None:
         with np.load(box / "scene.npz") as npz:
             arrays = {name: npz[name] for name in npz.files}
-        np.savez(box / "scene.npz", **(arrays | values))
+        np.savez(box / "scene.npz", **(arrays | values if values else {"slices": FAR}))
         sealed(box)
 
     return made
@@ -123,21 +112,12 @@ def of_another_skin(box: Path) -> None:
     sealed(box)
 
 
-def without_all_arrays_but_one(box: Path) -> None:
-    np.savez(box / "scene.npz", slices=np.zeros(3))
-    sealed(box)
-
-
-FAR = np.ones((5, 9, 9), dtype=np.float32)  # m, to an object that is nowhere
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (flipped("scene.npz"), "scene.npz: is damaged or was changed"),
         (flipped("ddpm-100.onnx"), "ddpm-100.onnx: is damaged or was changed"),
         (lambda box: (box / "scene.npz").unlink(), "scene.npz: No such file"),
-        (lambda box: (box / "density-16.onnx").unlink(), "density-16.onnx: No such file"),
         # bundle.json is none
         (content("bundle.json", b""), "bundle.json: Expecting value"),
         (content("bundle.json", b"[]"), "bundle.json: is of format None, not 3"),
@@ -145,37 +125,29 @@ FAR = np.ones((5, 9, 9), dtype=np.float32)  # m, to an object that is nowhere
         (content("bundle.json", b"[" * 100_000), "bundle.json: maximum recursion"),
         (content("bundle.json", b"9" * 9999), "bundle.json: Exceeds the limit"),
         # bundle.json makes no sense
-        (
-            about(lambda info: info.update(format=2)),
-            "is of format 2, not 3 ('taxeld-train seal' turns 2 into 3)",
-        ),
-        (about(lambda info: info.update(format=4)), "is of format 4, not 3"),
-        (about(lambda info: info.pop("object")), "object: is required"),
-        (about(lambda info: info.update(object="a\nb")), "object: must be a line of text, not"),
-        (about(lambda info: info.update(height_m=10**400)), "height_m: must be a number, not 1"),
-        (
-            about(lambda info: info.update(depth_max_m=np.nan)),
-            "depth_max_m: must be a number, not",
-        ),
-        (about(lambda info: info.update(depth_max_m=0.04)), "was built for 0.04; set it to that"),
-        (about(lambda info: info.update(layout=[])), "layout: must be a table, not []"),
+        (about(format=2), "is of format 2, not 3 ('taxeld-train seal' turns 2 into 3)"),
+        (about(lambda info: info.pop("object")), "object: is required; build the bundle again"),
+        (about(object="a\nb"), "object: must be a line of text, not"),
+        (about(height_m=10**400), "height_m: must be a number, not 1"),
+        (about(depth_max_m=np.nan), "depth_max_m: must be a number, not"),
+        (about(depth_max_m=0.04), "was built for 0.04; set it to that"),
+        (about(layout=[]), "layout: must be a table, not []"),
         (about(lambda info: info["layout"].pop("digest")), "layout.digest: is required"),
-        (
-            about(lambda info: info["layout"].update(name="wrap", digest="77")),
-            "box is for the layout wrap (77), not for cylinder:rows=5,columns=16",
-        ),
-        (about(lambda info: info.update(samplers={})), "samplers: must be a list, not {}"),
-        (sampler("flops", "many"), "samplers[0].flops: must be a number, not 'many'"),
+        (about(layout={"name": "wrap", "digest": "77"}), "box is for the layout wrap (77), not fo"),
+        (about(samplers={}), "samplers: must be a list, not {}"),
         (sampler("kind", "magic"), "samplers[0].kind: must be one of density, ddpm, not 'magic'"),
         (sampler("file", "other.onnx"), "files has no SHA-256 of 'other.onnx'"),
-        (about(lambda info: info["files"].pop("scene.npz")), "no SHA-256 of 'scene.npz'"),
-        (about(lambda info: info["files"].update({"../x": ""})), "'../x' is no file's name"),
-        (about(lambda info: info["files"].update({"\0": ""})), "'\\x00' is no file's name"),
-        (about(lambda info: info.update(auto=["density-1"])), "auto: no such proposal or sampler"),
+        (about(files={}), "no SHA-256 of 'scene.npz'"),
+        (about(files={"../x": ""}), "'../x' is no file's name"),
+        (about(files={"\0": ""}), "'\\x00' is no file's name"),
+        (about(auto=["density-1"]), "auto: no such proposal or sampler"),
+        (about(filter=[]), "filter: must be a table, not []"),
+        (about(filter={"particles": 1}), "filter.particles: must be 2..100000, not 1"),
+        (about(filter={"injected": True}), "filter.injected: must be an integer, not True"),
         # the scene is none
-        (cut_short("scene.npz", 0.0), "scene.npz: unusable scene (No data"),
-        (cut_short("scene.npz", 0.5), "scene.npz: unusable scene ("),
-        (without_all_arrays_but_one, "scene.npz: unusable scene ('silhouette"),
+        (flipped("scene.npz", 0.0), "scene.npz: unusable scene (No data"),
+        (flipped("scene.npz", 0.5), "scene.npz: unusable scene ("),
+        (scene(), "scene.npz: unusable scene ('silhouette"),
         (scene(surface=np.zeros((9, 2))), "surface has the shape (9, 2)"),
         (scene(slices=np.zeros((3, 4))), "slices is no array of 3 dimensions"),
         (scene(origin=np.array(["here", "there"])), "origin is no array"),
@@ -189,72 +161,79 @@ FAR = np.ones((5, 9, 9), dtype=np.float32)  # m, to an object that is nowhere
             "no contact with this skin can be made",
         ),
         # a sampler that may be used is none, though another is preferred
-        (cut_short("density-16.onnx", 0.0), "density-16.onnx: unusable sampler ("),
-        (cut_short("density-16.onnx", 0.2), "density-16.onnx: unusable sampler ("),
-        (cut_short("density-16.onnx", 0.999), "density-16.onnx: unusable sampler ("),
+        (flipped("density-16.onnx", 0.2), "density-16.onnx: unusable sampler ("),
         (of_another_skin, "unusable sampler (it is for the layout 77, not for cylinder:rows=5"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_a_bundle_that_cannot_be_used_is_one_line(box: Path, change: Change, said: str) -> None:
     change(box)
-    assert said in fault(configured(box))
+    assert said in fault(box)
 
 
-@pytest.mark.parametrize("name", ["nosuch", "n" * 5000])
-def test_a_name_that_cannot_be_a_path_is_no_bundle(box: Path, name: str) -> None:
-    assert fault(configured(box, name)).startswith("scene.bundle: no bundle")
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_a_command_ends_with_that_line(box: Path, command: str) -> None:
+    flipped("scene.npz")(box)
+    write_golden(box.parent)
+    assert "is damaged" in refused(command, golden(box.parent, scene={"bundle": box}))
 
 
-def test_a_sampler_that_the_configuration_cannot_come_to_is_not_opened(
-    box: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cut_short("ddpm-100.onnx", 0.2)(box)
-    assert main(["check", str(configured(box))]) == 0
-    Daemon(load(configured(box))).close()
-    assert warnings(capsys.readouterr().err) == []
-
-
-def test_the_bytes_that_were_compared_are_those_that_are_opened(
-    box: Path, skin_of_box: Layout
-) -> None:
-    loaded = bundle.load(str(box), skin_of_box, DEPTH_MAX_M)
-    for path in box.iterdir():
-        path.write_bytes(b"changed since")
-    for name in choice.possible(loaded, FilterConfig()):
-        loaded.open(name)
-
-
-def test_what_draws_contacts_gives_up_where_there_are_none(skin: Layout) -> None:
-    nowhere = scene_of(lambda x, _y: np.ones_like(x), skin, symmetry=1)
-    model = ObservationModel(nowhere, skin, DEPTH_MAX_M)
-    with pytest.raises(SetupError, match="no contact"):
-        check_contacts(model)
-    with pytest.raises(SetupError, match="no contact"):
-        Table(model, size=2)
-    z, live = np.eye(1, len(skin))[0], np.ones(len(skin), dtype=bool)
-    assert Projection(model).propose(z, live, 2, np.random.default_rng(0)).shape == (0, 3)
-
-
-def test_auto_comes_to_no_sampler_that_takes_more_than_one_before_it(skin_of_box: Layout) -> None:
-    loaded = bundle.load("box", skin_of_box, DEPTH_MAX_M)
-    order = ["density-16", "table", "ddpm-100", "density-64", "manifold"]
-    loaded = replace(loaded, manifest=replace(loaded.manifest, auto=order))
-    assert loaded.choices == ["density-16", "table", "manifold"]
-    loaded = replace(loaded, manifest=replace(loaded.manifest, auto=order[::-1]))
-    assert loaded.choices == ["manifold", "density-64", "table", "density-16"]
+@pytest.mark.parametrize("name", ["party", "n" * 5000])
+def test_a_name_of_no_bundle_is_refused(name: str) -> None:
+    assert fault("box", name).startswith(f"scene.bundles: no bundle '{name[:10]}")
+    assert bundle.names(SceneConfig(bundle="box")) == ("003_cracker_box",)
+    with pytest.raises(SetupError, match=r"^scene\.bundle: no bundle"):
+        bundle.names(SceneConfig(bundle=name))
 
 
 @pytest.mark.parametrize(
-    ("named", "may_be_chosen"),
+    ("keys", "said"),
     [
-        ("auto", {"density-64", "density-16", "table", "manifold", "projection"}),
-        ("ddpm", {"ddpm-100"}),
-        ("table", {"table"}),
+        ({}, "are both of 003_cracker_box; keep one of the two"),
+        ({"object": "a", "depth_max_m": 0.004}, "box for 0.004 m; build both for one ('taxeld-t"),
+        ({"object": "a", "layout": {"name": "ball", "digest": "0"}}, "box is for the layout ball"),
     ],
 )
-def test_a_check_opens_all_that_may_be_chosen_on_any_machine(
-    skin_of_box: Layout, named: str, may_be_chosen: set[str]
+def test_objects_that_cannot_be_told_apart_are_refused_in_one_line(
+    box: Path, keys: dict[str, object], said: str
 ) -> None:
-    loaded = bundle.load("box", skin_of_box, DEPTH_MAX_M)
-    assert set(choice.possible(loaded, FilterConfig(proposal=named))) == may_be_chosen
+    about(**keys)(box)
+    found = fault("box", box)
+    assert found.startswith("scene.bundles: ")
+    assert said in found
+
+
+def test_an_object_of_the_name_other_is_named_with_its_directory(box: Path) -> None:
+    about(object="other")(box)
+    found = bundle.names(SceneConfig(bundles=("drill", str(box))))
+    assert found == ("035_power_drill", "box/other")
+
+
+def test_the_bytes_that_were_compared_are_those_that_are_opened(box: Path) -> None:
+    loaded = bundle.load(str(box), SKIN, DEPTH_MAX_M)
+    for path in box.iterdir():
+        path.write_bytes(b"changed since")
+    for name in choice.possible([loaded], USUAL):
+        loaded.open(name)
+
+
+def sizes(names: list[str], text: str = "") -> tuple[int, ...]:
+    source = '[source]\nkind = "can"\nchannel = "a"\n'
+    config = file.parse(f"{source}[scene]\nbundles = {names}\n[filter]\n{text}")
+    now = bundle.sized(config, [bundle.manifest_of(name) for name in names]).filter
+    found = now.particles, now.particles_max, now.injected
+    whose = "this configuration says" if config.is_sized else "was enough when the bundle was built"
+    said = f"filter: {found[0]}..{found[1]} particles, {found[2]} samples, as {whose}"
+    assert check.notes(config) == [said] * (names not in (["box"], ["mug"]))
+    return found
+
+
+def test_what_was_enough_holds_unless_the_file_gives_any_of_these_keys(box: Path) -> None:
+    about(filter=ENOUGH)(box)
+    usual = USUAL.particles, USUAL.particles_max, USUAL.injected
+    assert sizes([str(box)]) == (25, 90, 12)
+    assert sizes([str(box)], "nudge_m = 0.002") == (25, 90, 12)
+    assert sizes([str(box)], f"particles = {USUAL.particles}") == usual
+    assert sizes([str(box)], "injected = 20") == (*usual[:2], 20)
+    assert sizes(["box"]) == usual, "it does not say"
+    assert sizes([str(box), "mug"]) == sizes(["mug"]), "the one that needs most counts"

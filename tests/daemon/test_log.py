@@ -15,7 +15,7 @@ from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import bundle, several
+from taxeld.proposals import bundle, choice
 from taxeld.proposals.analytic import Projection
 from taxeld.service import log
 from taxeld.service.notices import Notices
@@ -127,9 +127,7 @@ def hub_of(modules: int) -> tuple[Pipeline, SimulatedSkin]:
     whole = layouts.load(SPEC)
     loaded = bundle.load("box", whole, 0.005)
     skin = SimulatedSkin(whole, noise=5.0)
-    pipeline = Pipeline(
-        config(), [whole], [loaded.model], several.untimed([loaded], FilterConfig())
-    )
+    pipeline = Pipeline(config(), [whole], [loaded.model], choice.samples([loaded], FilterConfig()))
     table = wired(whole.uid.tolist())[:modules]
     counts = sum(module.channels for module in table)
     for _ in range(30):

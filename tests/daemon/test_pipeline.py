@@ -22,7 +22,7 @@ from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import EXTRAPOLATE_S
-from taxeld.proposals import bundle, several
+from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
@@ -63,7 +63,7 @@ def pipeline_of(box: Bundle, text: str = "", extrapolate_s: float = 0.0) -> Pipe
         config,
         [SKIN],
         [box.model],
-        several.untimed([box], config.filter),
+        choice.samples([box], config.filter),
         extrapolate_s=extrapolate_s,
     )
 

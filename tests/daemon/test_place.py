@@ -15,7 +15,7 @@ from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import EXTRAPOLATE_S
-from taxeld.proposals import bundle, several
+from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld_protocol.decoder import Scan
 from tests.rig.simulated_skin import SimulatedSkin
@@ -42,7 +42,7 @@ def pipeline_of(box: Bundle, source: str = CAN) -> Pipeline:
     config = parse(
         f'[source]\n{source}\n[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\n{ROBOT}'
     )
-    samples = several.untimed([box], config.filter)
+    samples = choice.samples([box], config.filter)
     return Pipeline(config, [SKIN], [box.model], samples, extrapolate_s=EXTRAPOLATE_S)
 
 

@@ -1,20 +1,27 @@
 """Proposals: poses that explain a touch, as far as each claims to."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
+from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import bundle, choice
-from taxeld.proposals.analytic import Manifold, Projection, Table
+from taxeld.proposals.analytic import Manifold, Projection, Table, check_contacts
+from taxeld.proposals.bundle import Bundle
+from taxeld.proposals.samples import PATIENCE, Samples
+from tests.rig.configurations import config
 
-from .conftest import DEPTH_MAX_M
+from .conftest import DEPTH_MAX_M, scene_of
 
 LIVE = np.ones(32, dtype=bool)
 
@@ -91,12 +98,26 @@ def test_dead_taxels_are_not_asked(box_model: ObservationModel, make: type) -> N
     assert np.array_equal(honest, proposal.propose(lying, live, 30, np.random.default_rng(3)))
 
 
+def test_what_draws_contacts_gives_up_where_there_are_none(skin: Layout) -> None:
+    nowhere = scene_of(lambda x, _y: np.ones_like(x), skin, symmetry=1)
+    model = ObservationModel(nowhere, skin, DEPTH_MAX_M)
+    for draw in (check_contacts, Table):
+        with pytest.raises(SetupError, match="no contact"):
+            draw(model)
+    z = np.eye(1, len(skin))[0]
+    assert Projection(model).propose(z, LIVE, 2, np.random.default_rng(0)).shape == (0, 3)
+
+
+@pytest.fixture(scope="module")
+def mug() -> Bundle:
+    return bundle.load("mug", layouts.load(SkinConfig().layout), DEPTH_MAX_M)
+
+
 @pytest.mark.parametrize("name", ["density", "ddpm", "table", "manifold", "projection"])
-def test_a_bundle_serves_every_proposal(name: str) -> None:
-    skin = layouts.load(SkinConfig().layout)
-    proposal = bundle.load("mug", skin, DEPTH_MAX_M).proposal(name)
+def test_a_bundle_serves_every_proposal(mug: Bundle, name: str) -> None:
     z = np.zeros(80)
     z[[3, 19]] = 0.6
+    proposal = mug.proposal(name)
     poses = proposal.propose(z, np.ones(80, dtype=bool), 25, np.random.default_rng(0))
     assert poses.shape == (25, 3)
     assert np.isfinite(poses).all()
@@ -104,33 +125,72 @@ def test_a_bundle_serves_every_proposal(name: str) -> None:
 
 
 def test_auto_is_the_bundles_first_choice_that_fits_the_budget(
-    monkeypatch: pytest.MonkeyPatch,
+    mug: Bundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    skin = layouts.load(SkinConfig().layout)
-    loaded = bundle.load("mug", skin, DEPTH_MAX_M)
     order = ["ddpm-100", "density-64", "table", "projection"]
-    loaded = replace(loaded, manifest=replace(loaded.manifest, auto=order))
     cost = {"ddpm": 12.0, "density": 0.3, "table": 0.6, "projection": 0.2}
     monkeypatch.setattr(choice, "cpu_ms", lambda proposal, _model, _samples: cost[proposal.name])
-    auto, named = FilterConfig(), FilterConfig(proposal="ddpm-100")
-    chosen = [choice.choose(loaded, auto, ms)[0] for ms in (20.0, 5.0, 0.25, 0.1)]
+    chosen = [choice.choose(mug, order, 50, ms)[0] for ms in (20.0, 5.0, 0.25, 0.1)]
     assert chosen == ["ddpm-100", "density-64", "projection", "projection"]  # the cheapest at last
-    assert choice.choose(loaded, named, 0.1)[0] == "ddpm-100"
+    assert choice.choose(mug, ["ddpm-100"], 50, 0.1)[0] == "ddpm-100"
 
 
-def test_what_a_proposal_costs_grows_with_what_it_does() -> None:
-    skin = layouts.load(SkinConfig().layout)
-    loaded = bundle.load("mug", skin, DEPTH_MAX_M)
-    cheap = choice.cpu_ms(loaded.proposal("density"), loaded.model, 50)
-    dear = choice.cpu_ms(loaded.proposal("ddpm-100"), loaded.model, 50)
+def test_what_a_proposal_costs_grows_with_what_it_does(mug: Bundle) -> None:
+    cheap, dear = (
+        choice.cpu_ms(mug.proposal(name), mug.model, 50) for name in ("density", "ddpm-100")
+    )
     assert 0.0 < cheap < dear
 
 
-def test_a_bundle_without_a_kind_of_sampler_says_so() -> None:
-    skin = layouts.load(SkinConfig().layout)
-    loaded = bundle.load("mug", skin, DEPTH_MAX_M)
-    bare = replace(loaded, manifest=replace(loaded.manifest, samplers=[], auto=[]))
+@pytest.mark.parametrize(("named", "found"), [("ddpm", ["ddpm-100"]), ("table", ["table"])])
+def test_a_check_opens_all_that_may_be_chosen_on_any_machine(
+    mug: Bundle, named: str, found: list[str]
+) -> None:
+    assert choice.possible([mug], FilterConfig(proposal=named)) == found
+    assert choice.possible([mug], FilterConfig()) == list(mug.manifest.auto)
+
+
+def test_a_bundle_without_a_kind_of_sampler_says_so(mug: Bundle) -> None:
+    bare = replace(mug, manifest=replace(mug.manifest, samplers=(), auto=()))
     with pytest.raises(SetupError, match=r"has no 'ddpm'; it has auto, "):
         bare.proposal("ddpm")
     assert bare.proposal("auto").name == "table"
-    assert choice.possible(bare, FilterConfig()) == ["table"]
+
+
+@dataclass
+class Asked:
+    """A proposal that gives as many samples as are wanted."""
+
+    name: str
+
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
+        return np.zeros((n, 3))
+
+
+def test_after_late_touches_in_a_row_half_the_samples_are_drawn_until_a_reset() -> None:
+    samples = Samples([Asked("density"), Asked("table")])
+
+    def drawn() -> list[int]:
+        z, rng = np.zeros(32), np.random.default_rng(0)
+        return [len(samples.of(k).propose(z, LIVE, 40, rng)) for k in range(2)]
+
+    for _ in range(10):  # now and then a touch may take longer
+        assert not any(samples.took(11.0, 10.0) for _ in range(PATIENCE - 1))
+        assert not samples.took(9.0, 10.0)
+    assert drawn() == [40, 40]
+    assert [samples.took(11.0, 10.0) for _ in range(PATIENCE)] == [False] * (PATIENCE - 1) + [True]
+    assert drawn() == [20, 20]
+    assert not any(samples.took(11.0, 10.0) for _ in range(2 * PATIENCE)), "it is said once"
+    samples.begin_anew()
+    assert drawn() == [40, 40]
+
+
+def test_a_warm_up_leaves_no_trace_in_the_belief(mug: Bundle) -> None:
+    found = []
+    for warm in (False, True):
+        samples = choice.samples([mug], FilterConfig())
+        subject = Estimator(mug.model, samples.of(0), FilterConfig())
+        if warm:
+            warm_up(config(), [mug.model], samples)
+        found.append(subject.rule.belief.pose.tobytes())
+    assert found[0] == found[1]

@@ -19,7 +19,7 @@ from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config.tables import Config, SensorPoseConfig
 from taxeld.errors import SetupError
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import bundle, several
+from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
@@ -84,7 +84,7 @@ def record(place: Path, transport: str) -> None:
 
 def estimates(place: Path, transport: str) -> list[str]:
     settings_ = config_of(transport)
-    samples = several.untimed([box()], settings_.filter)
+    samples = choice.samples([box()], settings_.filter)
     pipeline = Pipeline(settings_, [SKIN], [box().model], samples)
     why = pipeline.freshness.why
     return [

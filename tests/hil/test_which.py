@@ -9,7 +9,7 @@ import pytest
 from taxeld.commands.replay import Replay
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
-from taxeld.proposals import several
+from taxeld.proposals import bundle
 from taxeld_hil.grade.grade import Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.run.contact_table import ContactTable
@@ -93,4 +93,4 @@ def test_a_line_of_the_table_says_which_object_it_is() -> None:
 
 def test_names_of_a_scenarios_bundles_are_those_of_the_messages() -> None:
     run = FakeRun(WHICH, seed=0)
-    assert list(several.scenes(run.scenes)) == ["003_cracker_box", "025_mug", "035_power_drill"]
+    assert list(bundle.scenes(run.scenes)) == ["003_cracker_box", "025_mug", "035_power_drill"]

@@ -27,7 +27,7 @@ from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
-from taxeld.proposals import bundle, manifest, several
+from taxeld.proposals import bundle, manifest
 from taxeld.proposals.analytic import Manifold, Projection, check_contacts
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.sampler import Sampler
@@ -112,13 +112,13 @@ def scene_used(scene: Scene) -> None:
 
 def manifest_used(content: bytes) -> None:
     """All that is asked of bundle.json after it was read."""
-    made, info = manifest.parse(content, NOWHERE)
-    found = replace(loaded(), manifest=made, info=info)
+    made = manifest.parse(content, NOWHERE)
+    found = replace(loaded(), manifest=made)
     for name in (*PROPOSALS, *found.order):
         used_or_refused(lambda name=name: found.resolve(name))  # type: ignore[misc]
     for sampler in made.samplers:
         assert found.resolve(sampler.name) == sampler.name
-    messages.info(found.model.layout, several.scenes([found]), str(FilterConfig()))
+    messages.info(found.model.layout, bundle.scenes([found]), str(FilterConfig()))
 
 
 def _in_file(name: str, read: Callable[[Path], object]) -> Use:

@@ -229,13 +229,13 @@ def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
 def test_the_daemon_loads_a_built_bundle_and_samples_from_it(built: Path) -> None:
     skin = layouts.load(SKIN)
     loaded = bundle.load(str(built), skin, DEPTH_M)
-    assert loaded.info["symmetry"] == 2
+    assert loaded.model.scene.symmetry == 2
     rng = np.random.default_rng(0)
     z = np.zeros(16)
     z[5] = 0.8
-    for sampler in loaded.info["samplers"]:
-        proposal = loaded.proposal(sampler["name"])
-        assert proposal.name == sampler["kind"]
+    for sampler in loaded.manifest.samplers:
+        proposal = loaded.proposal(sampler.name)
+        assert proposal.name == sampler.kind
         poses = proposal.propose(z, np.ones(16, dtype=bool), 40, rng)
         assert poses.shape == (40, 3)
         assert np.isfinite(poses).all()
@@ -320,7 +320,7 @@ def test_sealing_makes_a_bundle_of_format_2_one_of_format_3(box: Path) -> None:
     with pytest.raises(SetupError, match="taxeld-train seal"):
         bundle.load(str(box), skin, 0.005)
     assert main(["seal", str(box)]) == 0
-    assert bundle.load(str(box), skin, 0.005).info["files"]
+    assert bundle.load(str(box), skin, 0.005).files
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"format": 1}', '{"format": 2}', "[" * 100_000])

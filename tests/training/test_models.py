@@ -79,7 +79,7 @@ def test_a_trained_model_is_near_the_posterior(
     sampler = fitted(variants.density(32), ring_model, touches, 300)
     export(sampler, len(ring_model.layout), tmp_path / "s.onnx", {})  # type: ignore[arg-type]
     rng = np.random.default_rng(2)
-    learned = Sampler.read(tmp_path / "s.onnx", ring_model.layout, "density")
+    learned = Sampler((tmp_path / "s.onnx").read_bytes(), ring_model.layout, "density", tmp_path)
     uninformed = quality.distances(Projection(ring_model), to, rng).mean()
     assert quality.distances(learned, to, rng).mean() < 0.12 * uninformed
 

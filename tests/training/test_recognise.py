@@ -176,7 +176,7 @@ def test_boxes_that_differ_only_above_the_skin_are_alike_and_a_mug_is_not(
     assert said.splitlines()[-1] == f"scene.bundles = {json.dumps([*map(str, folders)])}"
     for folder in folders:
         opened = bundle.load(str(folder), layouts.load(rig.RING))
-        assert (opened.order, opened.info["samplers"]) == (("table",), [])
+        assert (opened.order, opened.manifest.samplers) == (("table",), ())
         assert re.search(rf"made +{folder}: .*, 0\.\d MB", said)
 
 

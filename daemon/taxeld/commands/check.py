@@ -16,7 +16,7 @@ from taxeld.door.binding import Binding, NotNowError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
-from taxeld.proposals import bundle, choice, several
+from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file
 from taxeld.source.buses import check_uids, joint
 from taxeld.source.device import AwayError, BusyError
@@ -114,16 +114,16 @@ def _sizes(config: Config) -> list[str]:
     if not any(one.filter.keys for one in found):
         return []
     whose = "this configuration says" if config.is_sized else "was enough when the bundle was built"
-    now = several.sized(config, found).filter
+    now = bundle.sized(config, found).filter
     size = f"{now.particles}..{now.particles_max} particles, {now.injected} samples"
     return [f"filter: {size}, as {whose}"]
 
 
 def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
-    bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
-    for name in choice.possible(several.leading(bundles), config.filter):
+    bundles = bundle.load_all(config.scene, skins, config.skin.full_scale_depth_m)
+    for name in choice.possible(bundles, config.filter):
         for one in bundles:
-            one.open(one.own(name))
+            one.open(name)
 
 
 def _read_keys(config: Config) -> None:

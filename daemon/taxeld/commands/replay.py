@@ -18,7 +18,7 @@ from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import bundle, several
+from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file
 from taxeld.service.clock import is_step
 from taxeld.skin.patches import Patches
@@ -57,7 +57,7 @@ class Replay:
             config = replace(config, filter=replace(config.filter, seed=seed))
         self.pipeline = open_pipeline(self.directory, config)
         self.config = self.pipeline.config
-        self.names = several.names(config.scene)  # of objects, by their numbers in estimates
+        self.names = bundle.names(config.scene)  # of objects, by their numbers in estimates
         self.layout = self.pipeline.skin.layout
         self.patches = [
             Patches(stage.skin.layout, stage.config.skin.full_scale_depth_m)
@@ -161,9 +161,9 @@ def pipeline_of(config: Config, now_s: float, *, recorded: bool = False) -> Pipe
         calibration_file.load(one.skin, layout, now_s, recorded=recorded)
         for one, layout in zip(config.each, skins, strict=True)
     ]
-    bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
-    config = several.sized(config, [one.manifest for one in bundles])
-    models, samples = [one.model for one in bundles], several.untimed(bundles, config.filter)
+    bundles = bundle.load_all(config.scene, skins, config.skin.full_scale_depth_m)
+    config = bundle.sized(config, [one.manifest for one in bundles])
+    models, samples = [one.model for one in bundles], choice.samples(bundles, config.filter)
     return Pipeline(config, skins, models, samples, calibration=calibration, extrapolate_s=0.0)
 
 

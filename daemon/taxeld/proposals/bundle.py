@@ -1,23 +1,27 @@
-"""Scene bundles: a directory with the scene, its samplers, and their description."""
+"""Scene bundles: directories with a scene, its samplers, and their description; those of all
+objects that may be felt, in the order of their numbers."""
 
 import contextlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
+from itertools import combinations
 from pathlib import Path
-from typing import Any
 
+from taxeld.config.tables import SIZES, Config, FilterConfig, SceneConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
+from taxeld.model.scene import Scene
 from taxeld.proposals import manifest
 from taxeld.proposals.analytic import ANALYTIC, Table, check_contacts
-from taxeld.proposals.manifest import LinkEntry, Manifest, SamplerEntry
+from taxeld.proposals.manifest import LinkEntry, Manifest
 
 KEY = "scene.bundle"  # of the configuration, which names a bundle
 DEPTH_ALIKE_M = 1e-6  # depths that differ less are one
+OTHER = "other"  # taken among the names in messages, for none of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +30,18 @@ class Bundle:
 
     path: Path
     manifest: Manifest
-    info: dict[str, Any]  # the whole content of bundle.json
     files: dict[str, bytes]  # name → content of each file beside bundle.json
     model: ObservationModel
+
+    @property
+    def name(self) -> str:
+        """The object's name in messages."""
+        return _name(self.manifest, self.path)
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Proposals by preference, the first choice of `auto` first."""
+        return self.manifest.auto or (Table.name,)
 
     def resolve(self, name: str) -> str:
         """The analytic proposal or the sampler that `filter.proposal` names.
@@ -39,57 +52,34 @@ class Bundle:
         Raises:
             SetupError: the bundle has none of that name.
         """
-        samplers = self._samplers()
-        if name in ANALYTIC or name in samplers:
-            return name
-        if name == "auto":
-            return self.order[0]
-        for entry in samplers.values():
-            if entry.kind == name:
-                return entry.name
-        known = ", ".join(dict.fromkeys(["auto", *ANALYTIC, *samplers]))
-        raise SetupError(f"filter.proposal: {self.path.name} has no '{name}'; it has {known}")
-
-    @property
-    def order(self) -> tuple[str, ...]:
-        """Proposals by preference, the first choice of `auto` first."""
-        return self.manifest.auto or (Table.name,)
-
-    @property
-    def choices(self) -> list[str]:
-        """All proposals that `auto` may choose on any machine. A sampler with as many operations as
-        one preferred to it, or more, is left out: it would not be faster."""
-        samplers, least, kept = self._samplers(), float("inf"), []
-        for name in self.order:
-            if name not in samplers or samplers[name].flops < least:
-                kept.append(name)
-                least = samplers[name].flops if name in samplers else least
-        return kept
+        samplers = self.manifest.samplers
+        kinds = {entry.kind: entry.name for entry in reversed(samplers)}
+        known = {"auto": self.order[0]} | {own: own for own in ANALYTIC}
+        known |= {entry.name: entry.name for entry in samplers}
+        found = known.get(name) or kinds.get(name)
+        if found is None:
+            raise SetupError(
+                f"filter.proposal: {self.path.name} has no '{name}'; it has {', '.join(known)}"
+            )
+        return found
 
     def open(self, name: str) -> Proposal:
-        """An analytic proposal or a sampler by its own name.
+        """An analytic proposal or a sampler by its own name; the table where there is none.
 
         Raises:
             SetupError: the sampler cannot be used.
         """
-        if name in ANALYTIC:
-            return ANALYTIC[name](self.model)
-        entry = self._samplers()[name]
-        path = self.path / entry.file
-        from taxeld.proposals.sampler import Sampler  # noqa: PLC0415  (it loads onnxruntime)
+        for entry in self.manifest.samplers:
+            if entry.name == name:
+                from taxeld.proposals.sampler import Sampler  # noqa: PLC0415  (loads onnxruntime)
 
-        return Sampler(self.files[entry.file], self.model.layout, entry.kind, path)
-
-    def own(self, name: str) -> str:
-        """The name, or the table's where there is no such sampler."""
-        return name if name in self._samplers() or name in ANALYTIC else Table.name
+                data, path = self.files[entry.file], self.path / entry.file
+                return Sampler(data, self.model.layout, entry.kind, path)
+        return ANALYTIC.get(name, Table)(self.model)
 
     def proposal(self, name: str) -> Proposal:
         """The proposal that `filter.proposal` names, by the rules of `resolve`."""
         return self.open(self.resolve(name))
-
-    def _samplers(self) -> dict[str, SamplerEntry]:
-        return {sampler.name: sampler for sampler in self.manifest.samplers}
 
 
 def is_shipped(name: str) -> bool:
@@ -101,7 +91,7 @@ def find(name: str, key: str = KEY) -> Path:
     shipped = _shipped()
     if name in shipped:
         return shipped[name]
-    with contextlib.suppress(OSError, ValueError):  # no path, or one where this user may not look
+    with contextlib.suppress(OSError):  # a directory where this user may not look
         if (Path(name) / manifest.NAME).is_file():
             return Path(name)
     raise SetupError(
@@ -110,10 +100,10 @@ def find(name: str, key: str = KEY) -> Path:
     )
 
 
-def manifest_of(name: str) -> Manifest:
+def manifest_of(name: str, key: str = KEY) -> Manifest:
     """The manifest of a shipped bundle's name or of a path. Raises SetupError."""
-    path = find(name) / manifest.NAME
-    return manifest.parse(manifest.read(path), path)[0]
+    path = find(name, key) / manifest.NAME
+    return manifest.parse(manifest.read(path), path)
 
 
 def _shipped() -> dict[str, Path]:
@@ -134,21 +124,29 @@ def load(
     Raises:
         SetupError: it is missing, damaged, or of another layout, or of another depth than given.
     """
-    path = find(name, key)
-    found, info = manifest.parse(manifest.read(path / manifest.NAME), path / manifest.NAME)
+    path, found = find(name, key), manifest_of(name, key)
     links = _links(path, found, (layout, *further), key)
-    check_depth(path.name, found, depth_max_m)
+    if depth_max_m is not None and abs(found.depth_max_m - depth_max_m) > DEPTH_ALIKE_M:
+        raise SetupError(
+            f"skin.full_scale_depth_m: is {depth_max_m:g}, but {path.name} was built for "
+            f"{found.depth_max_m:g}; set it to that"
+        )
     files = manifest.unbroken(path, found.files)
-    first, *more = (
-        _model(path / link.scene, files[link.scene], each, found.depth_max_m)
-        for link, each in zip(links, (layout, *further), strict=True)
-    )
-    if more:
-        first = ObservationModel(first.scene, layout, found.depth_max_m, more)
+    models = []
+    for link, each in zip(links, (layout, *further), strict=True):
+        scene = manifest.parse_scene(files[link.scene], path / link.scene)
+        try:
+            models.append(ObservationModel(scene, each, found.depth_max_m))
+            check_contacts(models[-1])
+        except SetupError as error:
+            raise SetupError(f"{path / link.scene}: {error}") from None
+    model = models[0]
+    if further:
+        model = ObservationModel(model.scene, layout, found.depth_max_m, models[1:])
     if links[0].scene != manifest.SCENE:  # the samplers are of another link
         at, height_m = links[0].layout, links[0].height_m
         found = replace(found, layout=at, height_m=height_m, samplers=(), auto=(Table.name,))
-    return Bundle(path, found, info, files, first)
+    return Bundle(path, found, files, model)
 
 
 def _links(path: Path, found: Manifest, layouts: Sequence[Layout], key: str) -> list[LinkEntry]:
@@ -165,13 +163,10 @@ def _links(path: Path, found: Manifest, layouts: Sequence[Layout], key: str) -> 
             built = [f"{link.layout.name} ({link.layout.digest})" for link in found.all_links]
             cure = (
                 "name that layout (skin.layout, or --layout), or build a bundle for this one "
-                "('taxeld-train build --layout')"
+                "('taxeld-train build', with a --layout for each link)"
             )
-            if len(layouts) > 1:
-                cure = "build it for all links ('taxeld-train build', with a --layout for each)"
-            s = "s" * (len(built) != 1)
             raise SetupError(
-                f"{key}: {path.name} is for the layout{s} {' and '.join(built)}, "
+                f"{key}: {path.name} is for the layout {' and '.join(built)}, "
                 f"not for {layout.name} ({layout.digest}); {cure}"
             )
         links.append(fit[min(taken[layout.digest], len(fit) - 1)])
@@ -179,21 +174,49 @@ def _links(path: Path, found: Manifest, layouts: Sequence[Layout], key: str) -> 
     return links
 
 
-def _model(path: Path, data: bytes, layout: Layout, depth_max_m: float) -> ObservationModel:
-    """The model of the scene in the file at `path` on a layout. Raises SetupError."""
-    scene = manifest.parse_scene(data, path)
-    try:
-        model = ObservationModel(scene, layout, depth_max_m)
-        check_contacts(model)
-    except SetupError as error:
-        raise SetupError(f"{path}: {error}") from None
-    return model
+def load_all(
+    scene: SceneConfig, layouts: Sequence[Layout], depth_max_m: float | None = None
+) -> list[Bundle]:
+    """Load and validate all bundles that a configuration names, as `load` does each, for the
+    `layouts` of its links.
+
+    Raises:
+        SetupError: one cannot be used, or two do not belong together.
+    """
+    key = "scene.bundles" if scene.bundles else KEY
+    of_all = [manifest_of(name, key) for name in scene.names]
+    for (name, one), (again, two) in combinations(zip(scene.names, of_all, strict=True), 2):
+        if one.object == two.object:
+            raise SetupError(
+                f"{key}: {name} and {again} are both of {one.object}; keep one of the two"
+            )
+        if abs(one.depth_max_m - two.depth_max_m) > DEPTH_ALIKE_M:
+            raise SetupError(
+                f"{key}: {name} was built for a depth of {one.depth_max_m:g} m, {again} for "
+                f"{two.depth_max_m:g} m; build both for one ('taxeld-train build --depth-mm')"
+            )
+    return [load(name, layouts[0], depth_max_m, key, layouts[1:]) for name in scene.names]
 
 
-def check_depth(name: str, found: Manifest, depth_max_m: float | None) -> None:
-    """Raises SetupError where the bundle `name` was built for another depth than the one given."""
-    if depth_max_m is not None and abs(found.depth_max_m - depth_max_m) > DEPTH_ALIKE_M:
-        raise SetupError(
-            f"skin.full_scale_depth_m: is {depth_max_m:g}, but {name} was built for "
-            f"{found.depth_max_m:g}; set it to that"
-        )
+def scenes(bundles: Sequence[Bundle]) -> dict[str, Scene]:
+    """The scenes of the objects by their names in messages."""
+    return {one.name: one.model.scene for one in bundles}
+
+
+def names(scene: SceneConfig) -> tuple[str, ...]:
+    """The names of a configuration's objects in messages. Raises SetupError."""
+    return tuple(_name(manifest_of(name), find(name)) for name in scene.names)
+
+
+def _name(found: Manifest, path: Path) -> str:
+    return found.object if found.object != OTHER else f"{path.name}/{found.object}"
+
+
+def sized(config: Config, found: Sequence[Manifest]) -> Config:
+    """The configuration with as many particles and samples as were enough for the objects when
+    their bundles were built, unless it says itself how many. Of several the most count."""
+    if config.is_sized or not found:
+        return config
+    own = [one.filter.over(FilterConfig()) for one in found]
+    most = {key: max(getattr(one, key) for one in own) for key in SIZES}
+    return replace(config, filter=replace(config.filter, **most))

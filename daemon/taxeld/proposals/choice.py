@@ -1,6 +1,6 @@
 """Which proposals serve on this machine, by the CPU time of a call, measured once at start.
 
-Only this module of the room measures time, and only the service asks it.
+Only this module of the room measures time, and only the service asks it to.
 """
 
 import time
@@ -8,49 +8,57 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taxeld.config.tables import Config, FilterConfig
+from taxeld.config.tables import FilterConfig
 from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals import several
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.samples import ClockNs, Samples
 
-AUTO = "auto"
 BUDGET_MS = 5.0  # CPU time for the samples of a touch
 TIMED_CALLS = 5  # calls whose median is the cost of a proposal
 
 
-def samples(bundles: Sequence[Bundle], config: Config, clock: ClockNs) -> Samples:
-    """The configured proposal of each object, chosen with one bundle; `clock` is in ns.
+def samples(
+    bundles: Sequence[Bundle], config: FilterConfig, clock: ClockNs | None = None
+) -> Samples:
+    """The configured proposal of each object, chosen with the bundle that has the most of them; an
+    object that has none of that name has the table.
+
+    `clock` [ns] measures the time in proposals. Without one nothing is timed, and `auto` is the
+    bundle's first: the same samples on any machine.
 
     Raises:
         SetupError: one of them cannot be used.
     """
     if not bundles:
-        return Samples(clock=clock)
-    first = several.leading(bundles)
-    name, chosen = choose(first, config.filter, BUDGET_MS)
-    each = [chosen if one is first else one.open(one.own(name)) for one in bundles]
-    return Samples(each, clock)
+        return Samples((), clock)
+    leading, names = _leading(bundles), possible(bundles, config)
+    name, chosen = choose(leading, names if clock else names[:1], config.injected)
+    return Samples([chosen if one is leading else one.open(name) for one in bundles], clock)
 
 
-def possible(bundle: Bundle, config: FilterConfig) -> list[str]:
+def possible(bundles: Sequence[Bundle], config: FilterConfig) -> list[str]:
     """The names of all proposals that may be chosen, on any machine. Raises SetupError."""
-    return bundle.choices if config.proposal == AUTO else [bundle.resolve(config.proposal)]
+    leading = _leading(bundles)
+    return list(leading.order) if config.proposal == "auto" else [leading.resolve(config.proposal)]
 
 
-def choose(bundle: Bundle, config: FilterConfig, budget_ms: float) -> tuple[str, Proposal]:
-    """The configured proposal, and its name.
+def _leading(bundles: Sequence[Bundle]) -> Bundle:
+    return max(bundles, key=lambda one: len(one.order))
 
-    `auto` is the first of the bundle's choices whose CPU time for the samples of a touch is at most
-    `budget_ms`, or the cheapest where none is.
-    """
-    # each is opened, so that a broken one is found on any machine
-    opened, costs = {name: bundle.open(name) for name in possible(bundle, config)}, {}
-    for name, proposal in opened.items():
-        costs[name] = cpu_ms(proposal, bundle.model, config.injected)
+
+def choose(
+    bundle: Bundle, names: Sequence[str], samples: int, budget_ms: float = BUDGET_MS
+) -> tuple[str, Proposal]:
+    """The first named proposal whose CPU time for the `samples` of a touch is at most `budget_ms`,
+    or the cheapest where none is; a single one is not timed."""
+    costs: dict[str, float] = {}
+    opened: dict[str, Proposal] = {}
+    for name in names:
+        opened[name] = bundle.open(name)
+        costs[name] = cpu_ms(opened[name], bundle.model, samples) if len(names) > 1 else 0.0
         if costs[name] <= budget_ms:
-            return name, proposal
+            break
     cheapest = min(costs, key=costs.__getitem__)
     return cheapest, opened[cheapest]
 

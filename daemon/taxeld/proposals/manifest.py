@@ -9,7 +9,6 @@ import io
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -53,7 +52,6 @@ class SamplerEntry:
     name: str
     kind: str = key(check=one_of(*KINDS))
     file: str = key()
-    flops: float = key()  # operations of one call
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +91,8 @@ class Manifest:
         return ""
 
 
-def parse(text: bytes, path: Path) -> tuple[Manifest, dict[str, Any]]:
-    """The used keys of `bundle.json`, and its whole content; `path` names it in messages.
+def parse(text: bytes, path: Path) -> Manifest:
+    """The used keys of `bundle.json`, which `path` names in messages.
 
     Raises:
         SetupError: it is damaged, or of another format.
@@ -111,7 +109,7 @@ def parse(text: bytes, path: Path) -> tuple[Manifest, dict[str, Any]]:
     made = gate.take(Manifest, info, faults, more=True)
     if made is None or made.fault:
         raise SetupError(f"{path}: {made.fault if made else faults[0]}; {AGAIN}")
-    return made, info
+    return made
 
 
 def read(path: Path) -> bytes:

@@ -1,11 +1,9 @@
 """The inverse observation model at run time: an ONNX graph from touch and noise to poses."""
 
-import contextlib
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +16,6 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # the wheels send telemetry
 import onnxruntime as ort
 
 TRIED = 8  # samples of the trial call
-# nodes' types in a graph's bytes: field 4, its length, the name
-ENDLESS = b"\x22\x04Loop", b"\x22\x04Scan", b"\x22\x02If"
 MOST_STEPS = 10_000  # limit on the steps of noise
 
 
@@ -37,20 +33,19 @@ class Sampler:
             SetupError: it is damaged, or no sampler for this skin.
         """
         self.name = name
-        with _told_of(path):
+        try:
             # this key names weights in other files, which a bundle does not vouch for
             if b"location" in graph:
                 raise ValueError("it names other files as its weights")
-            if any(op in graph for op in ENDLESS):
-                raise ValueError("it has loops or branches, which need not end")
             self._session = _session(graph)
             self._noise_steps = _noise_steps(self._session, layout)
-            self._try(len(layout))
-
-    @classmethod
-    def read(cls, path: Path, layout: Layout, name: str) -> Self:
-        """A sampler from a file of its own, outside a bundle."""
-        return cls(manifest.read(path), layout, name, path)
+            touch, live = np.eye(1, len(layout))[0], np.ones(len(layout), bool)
+            poses = self.propose(touch, live, TRIED, np.random.default_rng(0))
+            if poses.shape != (TRIED, 3) or not np.isfinite(poses).all():
+                raise ValueError("a touch gets no finite poses")
+        except Exception as error:  # onnxruntime's own exceptions share no public base
+            reason = manifest.reason(error)
+            raise SetupError(f"{path}: unusable sampler ({reason}); {manifest.AGAIN}") from None
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
         """z (M,), live (M,) → poses (n, 3)."""
@@ -63,13 +58,6 @@ class Sampler:
             },
         )[0].T.astype(np.float64)
         return np.column_stack([x, y, np.arctan2(s, c)])
-
-    def _try(self, taxels: int) -> None:
-        """Raises ValueError unless a touch of `taxels` taxels gets poses."""
-        touch = np.eye(1, taxels)[0]
-        poses = self.propose(touch, np.ones(taxels, bool), TRIED, np.random.default_rng(0))
-        if poses.shape != (TRIED, 3) or not np.isfinite(poses).all():
-            raise ValueError("a touch gets no finite poses")
 
 
 def _noise_steps(session: Any, layout: Layout) -> int:
@@ -84,25 +72,12 @@ def _noise_steps(session: Any, layout: Layout) -> int:
     shapes = {given.name: given.shape for given in session.get_inputs()}
     if shapes.keys() != {"z", "live", "noise"}:
         raise ValueError("its inputs are not z, live and noise")
-    taxels = len(layout)
-    if shapes["z"] != [1, taxels] or shapes["live"] != [1, taxels]:
-        raise ValueError(f"it is not for a skin of {taxels} taxels")
+    if not shapes["z"] == shapes["live"] == [1, len(layout)]:
+        raise ValueError(f"it is not for a skin of {len(layout)} taxels")
     match shapes["noise"]:
         case [int(steps), str() | None, 4] if 0 < steps <= MOST_STEPS:
             return steps
     raise ValueError("its noise is not (steps, any number of samples, 4)")
-
-
-@contextlib.contextmanager
-def _told_of(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:  # onnxruntime's own exceptions share no public base
-        raise SetupError(_fault(path, manifest.reason(error))) from None
-
-
-def _fault(path: Path, reason: str) -> str:
-    return f"{path}: unusable sampler ({reason}); build the bundle again"
 
 
 def _session(graph: bytes) -> Any:

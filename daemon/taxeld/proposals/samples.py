@@ -20,10 +20,6 @@ PATIENCE = 3  # touches in a row that may take too long
 ClockNs = Callable[[], int]
 
 
-def no_clock() -> int:
-    return 0
-
-
 class Degraded(IntEnum):
     """How many of the wanted samples are drawn."""
 
@@ -34,10 +30,10 @@ class Degraded(IntEnum):
 class Samples:
     """The proposal of each object, and what all of them share."""
 
-    def __init__(self, proposals: Sequence[Proposal] = (), clock: ClockNs = no_clock) -> None:
-        """`clock` measures the time in proposals [ns]."""
+    def __init__(self, proposals: Sequence[Proposal] = (), clock: ClockNs | None = None) -> None:
+        """`clock` measures the time in proposals [ns]; without one they take none."""
         self.proposals = list(proposals)
-        self.clock = clock
+        self.clock: ClockNs = clock or (lambda: 0)
         self.spent_ns = 0  # time in proposals, since start
         self.begin_anew()
 

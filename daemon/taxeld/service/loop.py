@@ -15,7 +15,7 @@ from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.pipeline.warm_up import warm_up
 from taxeld.prior import PosePrior
-from taxeld.proposals import several
+from taxeld.proposals import bundle
 from taxeld.service import health, realtime
 from taxeld.service.clock import WallClock
 from taxeld.service.doorkeeper import Doorkeeper, settings_of
@@ -53,7 +53,7 @@ class Daemon:
             self.door = opened.enter_context(contextlib.closing(door))
             made = prepared(config, recorder)
             self.config, self.layouts, self.pipeline = made.config, made.layouts, made.pipeline
-            self._objects = several.scenes(made.bundles)
+            self._objects = bundle.scenes(made.bundles)
             self._models = [one.model for one in made.bundles]
             self.counters, self.clock = LoopCounters(), WallClock()
             self.realtime, self.recorder = realtime.RealTime(), recorder

@@ -8,7 +8,7 @@ from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import choice, several
+from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.service import calibration_file
 from taxeld.source.recorder import Recorder
@@ -31,13 +31,13 @@ def prepared(config: Config, recorder: Recorder | None) -> Prepared:
         SetupError: one of them cannot be used.
     """
     skins = [layouts.load(one.skin.layout) for one in config.each]
-    bundles = several.load(config.scene, skins, config.skin.full_scale_depth_m)
-    config = several.sized(config, [one.manifest for one in bundles])
+    bundles = bundle.load_all(config.scene, skins, config.skin.full_scale_depth_m)
+    config = bundle.sized(config, [one.manifest for one in bundles])
     pipeline = Pipeline(
         config,
         skins,
         [one.model for one in bundles],
-        choice.samples(bundles, config, time.perf_counter_ns),
+        choice.samples(bundles, config.filter, time.perf_counter_ns),
         [recorder.of(k).pose for k in range(len(skins))] if recorder else (),
         [
             calibration_file.load(one.skin, layout, time.time())

@@ -12,7 +12,7 @@ from taxeld.estimator.estimate import Estimate
 from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
-from taxeld.proposals import several
+from taxeld.proposals import bundle
 from taxeld.service.inputs import Inputs
 from taxeld.service.latency import Latencies
 from taxeld.service.notices import Notices
@@ -45,7 +45,7 @@ class Publisher:
         self._config, self._pipeline, self._link = config, made.pipeline, link
         self._inputs, self._counters = inputs, counters
         self._has_object = bool(made.bundles)
-        self._names = tuple(several.scenes(made.bundles))
+        self._names = tuple(bundle.scenes(made.bundles))
         self._patches = [
             Patches(layout, one.skin.full_scale_depth_m)
             for one, layout in zip(config.each, made.layouts, strict=True)

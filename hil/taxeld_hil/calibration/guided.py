@@ -16,7 +16,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import PoseTrack
-from taxeld.proposals import several
+from taxeld.proposals import bundle, choice
 from taxeld.source import session
 from taxeld_hil.calibration.calibrate import LEAST_PRESSES, covered, sides
 from taxeld_hil.calibration.observer import Observer, uncalibrated
@@ -51,9 +51,9 @@ class Guided:
             )
         config = uncalibrated(config)
         skins = [layouts.load(config.skin.layout)]
-        (scene,) = several.load(config.scene, skins, config.skin.full_scale_depth_m)
-        config = several.sized(config, [scene.manifest])
-        samples = several.untimed([scene], config.filter)
+        (scene,) = bundle.load_all(config.scene, skins, config.skin.full_scale_depth_m)
+        config = bundle.sized(config, [scene.manifest])
+        samples = choice.samples([scene], config.filter)
         self._pipeline = Pipeline(config, skins, [scene.model], samples)
         self._observer = Observer(self._pipeline)
         self._recording = Recording(config, config_path, directory)

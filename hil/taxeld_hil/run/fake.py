@@ -11,7 +11,7 @@ from taxeld.estimator.estimate import Estimate
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import several
+from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.state import SkinState
@@ -42,8 +42,8 @@ class FakeDaemon:
         Raises:
             SetupError: links on one bus have the same modules, or more than it carries.
         """
-        config = several.sized(config, [scene.manifest for scene in scenes])
-        samples = several.untimed(scenes, config.filter)
+        config = bundle.sized(config, [scene.manifest for scene in scenes])
+        samples = choice.samples(scenes, config.filter)
         models = [scene.model for scene in scenes]
         skins = [link.layout for link in models[0].links]
         given = [calibration, *[None] * (len(skins) - 1)]

@@ -12,7 +12,7 @@ from typing import IO
 from taxeld.config.tables import SceneConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.proposals import several
+from taxeld.proposals import bundle
 from taxeld.stream import client
 from taxeld_hil.scenario.scenario import Scenario
 
@@ -84,7 +84,7 @@ class Processes:
             SetupError: the daemon would refuse the bundle on this layout.
         """
         known = SceneConfig(bundles=scenario.known)
-        several.load(known, [layouts.load(scenario.skin_layout)])
+        bundle.load_all(known, [layouts.load(scenario.skin_layout)])
         run = ("run", str(config))
         self._printed = tempfile.TemporaryFile()  # noqa: SIM115  (for as long as this lives)
         self._bytes = 0  # bytes printed by the subscriber

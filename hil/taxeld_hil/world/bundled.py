@@ -58,7 +58,7 @@ def _cut_anew(name: str, *specs: str) -> Bundle:
         model = ObservationModel(model.scene, model.layout, built.depth_max_m, more)
     own = BuiltFor(model.layout.name, model.layout.digest)
     found = replace(built, layout=own, samplers=(), auto=(Table.name,))
-    return Bundle(bundle.find(name), found, {"object": built.object}, {}, model)
+    return Bundle(bundle.find(name), found, {}, model)
 
 
 def mesh_of(name: str, built: Manifest) -> str:

@@ -153,7 +153,7 @@ def _exported(
         "steps": sampler.steps,
         "width": network.config.width,
         "flops": export.flops(sampler, quality.SAMPLES),
-        **_measured(Sampler.read(path, model.layout, variant.kind), to, given.seed),
+        **_measured(Sampler(path.read_bytes(), model.layout, variant.kind, path), to, given.seed),
     }
 
 

@@ -46,7 +46,7 @@ def shipped(setting: Setting) -> bundle.Bundle | None:
             found = bundle.load(name, layout, DEPTH_MAX_M)
         except SetupError:  # it is for another skin
             continue
-        if found.info["object"] == setting.object:
+        if found.manifest.object == setting.object:
             return found
     return None
 
@@ -69,7 +69,7 @@ def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
     if name in ANALYTIC:
         return ANALYTIC[name](model)
     if is_learned(name, setting):
-        return Sampler.read(Path(file), model.layout, LEARNED[name].kind)
+        return Sampler(Path(file).read_bytes(), model.layout, LEARNED[name].kind, Path(file))
     found = shipped(setting)
     if found is None:
         raise SetupError(f"{setting.object}: no bundle of it is shipped for this skin")
