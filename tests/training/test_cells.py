@@ -17,14 +17,15 @@ from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld_hil.integrity import FOUND_MM
-from taxeld_training.filters import cells, experiment, follow, gridded, methods
+from taxeld_training.filters import cells, follow, methods, stability, whole
 from taxeld_training.filters.cells import Cell
 from taxeld_training.filters.conditions import TrialConditions
-from taxeld_training.filters.experiment import p_shipped, shares
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
+from taxeld_training.filters.stability import p_shipped, shares
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.options import Options
+from taxeld_training.limits.grid_filter import GridFilter
 from taxeld_training.objects.setting import Setting, ring
 from taxeld_training.samplers import trained
 
@@ -67,7 +68,7 @@ def test_a_world_that_is_smaller_in_all_is_the_same_but_for_its_lengths() -> Non
 def test_the_papers_own_diffusion_is_run_by_the_papers_own_rule(
     small: Setting, tmp_path: Path
 ) -> None:
-    assert Method("paper", "paper", 100) in experiment.FILTER.methods
+    assert Method("paper", "paper", 100) in whole.FILTERS
     variant = trained.LEARNED["paper"]
     assert (variant.training.contacts, variant.frame, variant.view) == (10_000, "pose", "plain")
     few = replace(variant, network=replace(variant.network, steps=2))  # 100 are slow to export
@@ -128,7 +129,7 @@ def test_a_wrong_object_is_never_found() -> None:
     """And a filter that is sure of it misleads."""
     level = Level("wrong object", "003_cracker_box", touched="003_cracker_box")
     mug = Setting("025_mug", ring(16), 16)
-    found = cells.play(experiment.cell_of(level, Method("table", "mixture", 100), mug), 0, 4, "")
+    found = cells.play(stability.cell_of(level, Method("table", "mixture", 100), mug), 0, 4, "")
     assert all(math.isnan(error_mm) for trial in found for error_mm, *_ in trial)
     wrong = WRONG._replace(map_mm=math.nan)
     doubted = wrong._replace(status=Status.AMBIGUOUS, p=0.5)
@@ -142,7 +143,7 @@ def test_cans_that_a_filter_takes_for_boxes_are_flagged_after_eight_contacts() -
     """Some of a can's contacts agree with a box; of these four trials three ended converged while
     one contradiction asked for no more agreement than many."""
     level = Level("wrong object", "002_master_chef_can", touched="002_master_chef_can")
-    found = cells.play(experiment.cell_of(level, SHIPPED, BOX), 1038, 4, "")
+    found = cells.play(stability.cell_of(level, SHIPPED, BOX), 1038, 4, "")
     last = [Status(trial[-1][1]) for trial in found]
     assert last.count(Status.CONVERGED) <= 1, last
 
@@ -152,7 +153,9 @@ def test_the_grid_learns_from_the_scans_that_the_estimator_learns_from(
 ) -> None:
     """As they are after what may leak, and what foam may keep, was taken off."""
     trial = Trial(ring_model, 3, 3, TrialConditions(skin="typical"))
-    *_, (_, grid) = gridded.after_touches(trial, ring_model)
+    grid = GridFilter(ring_model, methods.NOISE, follow.SLACK)
+    monkeypatch.setattr(follow, "GridFilter", lambda *_: grid)
+    follow.follow_grid(trial, ring_model, (3,))
     monkeypatch.setattr(mixture, "REMEMBERED", 99)
     config = FilterConfig(injected=0)
     estimator = Estimator(ring_model, ANALYTIC["manifold"](ring_model), config)
@@ -174,6 +177,6 @@ def test_of_two_objects_of_one_kind_the_nearer_one_counts(ring_model: Observatio
     moment = next(iter(trial))
     assert moment.twin is not None
     beside = se2.compose(moment.twin, np.array([0.001, 0.0, 0.0]))
-    assert follow._error_mm(trial, ring_model, moment, beside) == pytest.approx(1.0, abs=1e-6)
+    assert follow.error_mm(ring_model, moment, beside) == pytest.approx(1.0, abs=1e-6)
     alone = moment._replace(twin=None)
-    assert follow._error_mm(trial, ring_model, alone, beside) > FOUND_MM
+    assert follow.error_mm(ring_model, alone, beside) > FOUND_MM

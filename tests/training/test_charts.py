@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 
-from taxeld_training.charts import picture, trial_charts, whole_chart
-from taxeld_training.filters.experiment import STABILITY
+from taxeld_training.charts import map_chart, picture, whole_chart
 from taxeld_training.filters.levels import LEVELS
-from taxeld_training.jobs.rows import GRID, trial_table
+from taxeld_training.filters.stability import METHODS, OBJECTS
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
@@ -23,7 +22,7 @@ def check_picture(path: Path) -> None:
 @pytest.mark.parametrize("name", ["stability", "whole"])
 def test_the_rows_of_the_results_can_be_drawn_again(name: str, tmp_path: Path) -> None:
     rows = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
-    draw = {"stability": trial_charts.failures, "whole": whole_chart.draw}
+    draw = {"stability": map_chart.draw, "whole": whole_chart.draw}
     draw[name](rows, tmp_path / "a.png")
     check_picture(tmp_path / "a.png")
 
@@ -46,42 +45,20 @@ def map_rows() -> list[dict[str, Any]]:
             "map_mm": {"median": 1.0},
         }
         for i, level in enumerate(LEVELS)
-        for name in level.objects or STABILITY.objects
-        for method in STABILITY.methods
+        for name in level.objects or OBJECTS
+        for method in METHODS
     ]
 
 
 @pytest.mark.check
 def test_a_map_of_all_levels_is_small_and_the_same_rows_give_the_same_bytes(tmp_path: Path) -> None:
     rows = map_rows()
-    trial_charts.failures(rows, tmp_path / "map.png")
-    trial_charts.failures(rows, tmp_path / "again.png")
+    map_chart.draw(rows, tmp_path / "map.png")
+    map_chart.draw(rows, tmp_path / "again.png")
     assert (tmp_path / "map.png").read_bytes() == (tmp_path / "again.png").read_bytes()
     check_picture(tmp_path / "map.png")
-    text = trial_table(rows)
-    assert "| mug | wrong object: rubiks cube | density mixture | " in text
-    for name in ("all", "cracker box", "mug"):
-        assert f"| density mixture | {name} | " in text
-
-
-def test_the_worst_cell_over_all_objects_has_the_name_of_its_object() -> None:
-    good = map_rows()[0] | {"found_rate": 1.0}
-    bad = good | {"object": "025_mug", "found_rate": 0.1}
-    (line,) = (line for line in trial_table([good, bad]).splitlines() if "| all |" in line)
-    assert "| 10%, mug, as assumed |" in line
 
 
 def test_samplers_of_one_picture_differ_in_colour_and_not_only_in_their_markers() -> None:
-    found = picture.styles(["projection", "manifold", "table", "paper", "density", "exact"])
-    assert len({colour for colour, _ in found.values()}) == len(found) == 6
-
-
-def test_lines_of_the_filters_differ_without_markers() -> None:
-    proposals = ("density", "table", "manifold", "projection", "paper", GRID)
-    rows = [
-        {"proposal": proposal, "injection": injection, "particles": 100, "particles_max": 100}
-        for proposal in proposals
-        for injection in ("mixture", "paper")
-    ]
-    found = trial_charts.line_styles(rows)
-    assert len(set(map(str, found.values()))) == len(found) == len(rows)
+    found = picture.styles(["projection", "manifold", "table", "paper", "density"])
+    assert len({colour for colour, _ in found.values()}) == len(found) == 5

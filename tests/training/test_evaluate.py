@@ -1,7 +1,5 @@
-"""Experiments, small: rows, tables and files, and going on after one was cut short."""
+"""Experiments, small: rows and files, and going on after one was cut short."""
 
-import re
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,22 +8,18 @@ import pytest
 
 from taxeld_hil import jobs
 from taxeld_training.cli import main
-from taxeld_training.filters import advised, cells, experiment, linked, whole
+from taxeld_training.filters import advised, cells, linked, stability, whole
 from taxeld_training.filters.levels import LEVELS, Level
-from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
+from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.jobs import options, statistics
 from taxeld_training.jobs.options import Options
-from taxeld_training.jobs.rows import DISTANCES, EXACT, GRID
-from taxeld_training.objects.setting import Setting, ring
-from taxeld_training.samplers import evaluate as samplers
-from taxeld_training.samplers import trained
+from taxeld_training.jobs.rows import GRID
 from tests.rig.commands import refused
 
 from .rig import evaluate, rows, written_at
 
 pytestmark = pytest.mark.check
 
-ANALYTIC = {"projection", "manifold", "table", EXACT}
 TRIAL_KEYS = {
     "object",
     "factor",
@@ -50,77 +44,12 @@ TRIAL_KEYS = {
 }
 
 
-SAMPLERS = ("--groups", "analytic,density-64")
-
-
-@pytest.fixture(scope="module")
-def measured(block: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where samplers have been measured."""
-    place = tmp_path_factory.mktemp("measured")
-    assert evaluate("proposals", block, place, *SAMPLERS) == 0
-    return place
-
-
-@pytest.mark.smoke
-def test_proposals_has_a_row_a_sampler_and_remembers_its_jobs(block: Path, measured: Path) -> None:
-    found = {row["proposal"]: row for row in rows(measured, "proposals")}
-    assert found.keys() == ANALYTIC | {"density"}
-    for row in found.values():
-        assert abs(row["energy_floor"]) < 0.05
-        assert len(row[DISTANCES]) == 8
-        low, high = row["energy_distance_ci"]
-        assert low <= row["energy_distance"] <= high
-        assert row["left_out"] == 0
-        assert row["add_mm"]["best"] <= row["add_mm"]["median"] <= row["add_mm"]["worst"]
-    assert found[EXACT]["energy_distance"] == found[EXACT]["energy_floor"]
-    assert found["table"]["energy_distance"] < found["projection"]["energy_distance"]
-    table = (measured / "out" / "proposals.md").read_text("utf-8").splitlines()
-    assert table[0] == "8 columns:"
-    assert table[2].startswith("| sampler | objects | energy distance | worst object |")
-    assert len(table) == 4 + 5
-    assert all(
-        re.search(r"\| -?\d\.\d{4} \(-?\d\.\d{4} – -?\d\.\d{4}\) \|", line) for line in table[4:]
-    )
-    assert float(table[-1].split("|")[-2]) < 0.05  # p of the farthest, the projection
-    before = written_at(measured / "memory")
-    assert evaluate("proposals", block, measured, *SAMPLERS) == 0
-    assert written_at(measured / "memory") == before
-
-
-def test_a_filter_follows_with_the_model_whose_distance_was_measured(
-    block: Path, measured: Path
-) -> None:
-    kept = list((measured / "memory").glob("density-*.onnx"))
-    late = Options(
-        measured / "out", measured / "memory", (str(block),), quick=True, until=0.0
-    )  # no time to train another
-    (cell,) = samplers.settings(late, samplers.PROPOSALS_COLUMNS)
-    same = cell.place
-    assert type(same) is Setting
-    assert trained.files([(same, "density")], late) == {(same, "density"): str(*kept)}
-    other = replace(same, seed=1)
-    assert trained.files([(other, "density")], late) == {}
-    assert trained.files([(other, "table")], late) == {(other, "table"): ""}
-
-
-def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_beside(
-    block: Path, measured: Path, tmp_path: Path
-) -> None:
-    more = ("--groups", "analytic,paper", "--minutes", "0")
-    kept = ("--memory", str(measured / "memory"))
-    assert evaluate("proposals", block, tmp_path, *more, *kept) == 0
-    assert {row["proposal"] for row in rows(tmp_path, "proposals")} == ANALYTIC
-    few = ("--groups", "analytic", "--layout", ring(4))
-    assert evaluate("proposals", block, tmp_path, *few) == 0
-    assert len(list((tmp_path / "out").glob("proposals*.json"))) == 2
-
-
 @pytest.mark.parametrize(
     "name",
     [
-        "proposals",
         "whole",
-        "filter",
+        "works",
+        "stability",
         "reliability",
         "recognise",
         "advice",
@@ -140,12 +69,16 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ("proposals --groups magic", "--groups: no 'magic' here; there are analytic, "),
-        ("proposals --objects 999_none", "999_none"),
-        ("proposals --cells skin", "--cells: proposals has no cells to choose from"),
+        ("filter --seeds 5", "evaluate filter: is gone; 'evaluate whole' compares filters"),
+        ("proposals --quick", "evaluate proposals: is gone; 'taxeld-train build' measures"),
+        (
+            "works --columns 8",
+            "evaluate --columns: is gone; a ring of 8 columns is --cells",
+        ),
+        ("works --objects 999_none", "999_none"),
         ("stability --cells noise,sniff", "--cells: no 'sniff' here; there are as assumed, noise"),
-        ("filter --cells moved=3", "--cells: no 'moved=3' here; there are moved=2, moved=5, "),
-        ("filter --groups magic", "--groups: no 'magic' here; there are density, table, "),
+        ("stability --cells moved=3", "--cells: no 'moved=3' here; there are moved=2, moved=5, "),
+        ("stability --groups magic", "--groups: no 'magic' here; there are density, table, "),
         ("push --cells noise", "--cells: push has no cells to choose from"),
         ("recognise --cells noise", "--cells: recognise has no cells to choose from"),
         ("recognise --objects 025_mug,999_none", "999_none: no such YCB object"),
@@ -175,7 +108,7 @@ def test_whole_filters_are_compared_by_time_and_by_what_they_find(
     assert len(found) == 9
     for name in ("all", "025_mug", "003_cracker_box"):
         mine = [row for row in found if row["object"] == name]
-        assert [row["seeds"] for row in mine] == [4 if name == "all" else 2] * 3
+        assert [row["trials"] for row in mine] == [4 if name == "all" else 2] * 3
         assert [row["ms"] for row in mine] == sorted(row["ms"] for row in mine)
         shares = [row["found_and_sure"][5] for row in mine]
         for k, row in enumerate(mine):
@@ -186,7 +119,6 @@ def test_whole_filters_are_compared_by_time_and_by_what_they_find(
         (alone,) = (row for row in mine if row["samples"] == 0)
         assert alone["found"][-1] <= max(row["found"][-1] for row in mine)
     assert (tmp_path / "out" / "whole.png").is_file()
-    assert len((tmp_path / "out" / "whole.md").read_text("utf-8").splitlines()) == 2 + 3
 
 
 def test_links_are_compared_on_the_same_touches(
@@ -214,24 +146,17 @@ def test_guides_are_compared_from_the_same_first_touch(
     found = {row["guide"]: row for row in rows(tmp_path, "advice")}
     assert set(found) == {"any", "random", "advice"}
     assert len({row["found"][0] for row in found.values()}) == 1
-    assert found["any"]["missed"] == 0.0
     assert found["advice"]["advice_ms"] > 0.0
     assert "advice_ms" not in found["random"]
-    assert (tmp_path / "out" / "advice.png").is_file()
 
 
-def test_filter_has_a_row_a_method_and_contact_and_goes_on_where_it_was_cut(
+def test_stability_goes_on_where_it_was_cut_and_compares_with_what_ships(
     block: Path, tmp_path: Path
 ) -> None:
-    few = ("--groups", "table,projection", "--seeds", "2")
-    assert evaluate("filter", block, tmp_path, *few) == 0
-    found = rows(tmp_path, "filter")
-    assert [(row["proposal"], row["injection"], row["contact"]) for row in found] == [
-        (proposal, injection, contact)
-        for proposal in ("table", "projection")
-        for injection in ("mixture", "paper")
-        for contact in range(1, cells.TOUCHES + 1)
-    ]
+    few = ("--cells", "as assumed,noise=0.04", "--seeds", "2", "--groups")
+    assert evaluate("stability", block, tmp_path, *few, "table,projection") == 0
+    assert not (tmp_path / "out" / "stability.json").exists(), "chosen cells have their own file"
+    found = rows(tmp_path, "stability_cells")
     for row in found:
         assert row.keys() == TRIAL_KEYS
         assert row["seeds"] == 2
@@ -239,35 +164,27 @@ def test_filter_has_a_row_a_method_and_contact_and_goes_on_where_it_was_cut(
         assert row["map_mm_ci"][0] <= row["map_mm"]["median"] <= row["map_mm_ci"][1]
         assert row["found_ci"][0] <= row["found_rate"] <= row["found_ci"][1]
         assert row["misleading_rate"] <= row["misleading_so_far_rate"]
-        assert row["p_shipped"] is None  # what ships was not run
-    best = [row for row in found if (row["proposal"], row["injection"]) == ("table", "mixture")]
-    assert best[-1]["map_mm"]["median"] < best[0]["map_mm"]["median"]
-    assert (tmp_path / "out" / "filter.png").stat().st_size > 10_000
-    assert "block.stl | 1 |" in (tmp_path / "out" / "filter.md").read_text("utf-8")
-
+        assert row["p_shipped"] is None, "what ships was not run"
+    assert (tmp_path / "out" / "stability_cells.png").stat().st_size > 5_000
     before = written_at(tmp_path / "memory")
-    more = ("--groups", "table,projection,manifold", "--seeds", "2", "--minutes", "0")
-    assert evaluate("filter", block, tmp_path, *more) == 0  # nothing is begun
-    assert rows(tmp_path, "filter") == found
+    more = ("table,projection,density", "--minutes", "0")
+    assert evaluate("stability", block, tmp_path, *few, *more) == 0  # nothing is begun
+    assert rows(tmp_path, "stability_cells") == found
     assert written_at(tmp_path / "memory") == before
 
 
 def test_what_ships_and_the_grid_meet_the_same_trials(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    methods = (SHIPPED, Method(GRID, touches=(2,)))
-    short = replace(experiment.FILTER, methods=methods, contacts=(1, 2))
-    monkeypatch.setattr(experiment, "FILTER", short)
-    monkeypatch.setattr(cells, "TOUCHES", 2)
+    for module in (cells, stability):
+        monkeypatch.setattr(module, "TOUCHES", 2)
+    monkeypatch.setattr(stability, "LIMIT", Method(GRID, touches=(2,)))
     few = ("--groups", "shipped,grid", "--seeds", "1", "--cells", "as assumed")
-    assert evaluate("filter", "003_cracker_box", tmp_path, *few) == 0
-    assert not (tmp_path / "out" / "filter.json").exists()  # chosen cells have a file of their own
-    found = rows(tmp_path, "filter_cells")
-    assert len(found) == 2 + 1
-    grid = [row for row in found if row["proposal"] == "grid"]
-    assert [row["contact"] for row in grid] == [2]
-    assert all(row["sure_rate"] is None for row in grid)  # it publishes no p
-    assert all(0.0 <= row["p_shipped"] <= 1.0 for row in found)
+    assert evaluate("stability", "003_cracker_box", tmp_path, *few) == 0
+    ours, grid = rows(tmp_path, "stability_cells")
+    assert (ours["proposal"], grid["proposal"]) == ("density", "grid")
+    assert grid["sure_rate"] is None, "it publishes no p"
+    assert all(0.0 <= row["p_shipped"] <= 1.0 for row in (ours, grid))
 
 
 def test_lengths_other_than_the_usual_are_held_to_the_objects_own_size(tmp_path: Path) -> None:
@@ -288,7 +205,7 @@ def test_stability_has_the_last_contact_of_each_condition_and_a_map(
 ) -> None:
     factors = ("as assumed", "drift", "wrong object", "symmetric", "lengths")
     levels = [next(level for level in LEVELS if level.factor == factor) for factor in factors]
-    monkeypatch.setattr("taxeld_training.filters.experiment.LEVELS", levels)
+    monkeypatch.setattr("taxeld_training.filters.stability.LEVELS", levels)
     few = ("--seeds", "1", "--groups", "table,projection")
     assert evaluate("stability", block, tmp_path, *few) == 0
     found = rows(tmp_path, "stability")
@@ -384,11 +301,6 @@ def test_a_share_of_none_is_not_certain() -> None:
 
 
 def test_pairs_tell_what_their_spread_hides() -> None:
-    rng = np.random.default_rng(0)
-    hard = rng.lognormal(0.0, 2.0, 64)  # what a reading costs any sampler
-    assert statistics.p_paired(hard * 0.9, hard) < 1e-6
-    assert statistics.p_paired(hard, hard) == 1.0
-    assert statistics.p_paired(hard, rng.permutation(hard)) > 0.05
     first = [True] * 90 + [False] * 10
     second = [True] * 80 + [False] * 20
     assert statistics.p_share(first, second) == pytest.approx(2.0 * 0.5**10)

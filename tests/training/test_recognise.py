@@ -8,17 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taxeld.estimator.bank import Known
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
-from taxeld.proposals.analytic import Table
-from taxeld_training.charts import identity_chart
 from taxeld_training.cli import main
-from taxeld_training.filters import levels, recognise, several
-from taxeld_training.filters.follow import follow
-from taxeld_training.filters.trials import Trial
-from taxeld_training.jobs import identities
-from taxeld_training.jobs.identities import UNKNOWN, Identities
+from taxeld_training.filters import identities, recognise
+from taxeld_training.filters.identities import UNKNOWN, Identities
 from tests.rig.commands import refused
 
 from . import rig
@@ -69,15 +63,6 @@ def test_unknown_objects_are_told_apart_by_the_probability_of_none(
     assert identities.told_apart(one, 1) == area
 
 
-def test_confusion_has_a_line_for_unknown_objects_and_a_column_for_none() -> None:
-    one = given((0, [0.9], 0.5), (0, [0.1], 0.5), (UNKNOWN, [0.8], 0.5))
-    one.objects[2], one.other[2] = 0.1, 0.8
-    shares = np.array(identities.confusion(one, 1))
-    assert shares[0].tolist() == [0.5, 0.5, 0.0]
-    assert np.isnan(shares[1]).all()  # no run touched it
-    assert shares[2].tolist() == [0.0, 0.0, 1.0]
-
-
 def test_a_pair_is_parted_once_the_touched_one_stays_likely_to_the_end() -> None:
     one = given(
         (0, [0.5, 0.999, 0.5, 0.999], 0.5),  # parted after 4: it was in doubt again
@@ -98,15 +83,6 @@ def test_cost_is_the_ratio_of_medians_of_the_first_second_and_later_touches() ->
     assert ratios == (9.0, 8.0, 2.0)
 
 
-def test_what_knows_one_object_alone_is_the_filter_of_the_other_experiments() -> None:
-    model = rig.model_of(rig.ring())
-    trial, table = Trial(model, 3, 3), Table(model)
-    found = several.recognise(list(trial), 3, [Known(model, table)])
-    expected = follow(trial, several.TABLED, model, table)
-    assert [(one.map_mm, one.p) for one in found] == [(one.map_mm, one.p) for one in expected]
-    assert all(one.objects == pytest.approx([1.0 - one.other]) for one in found)
-
-
 def test_recognise_has_rows_of_known_and_unknown_objects_and_goes_on_where_it_was_cut(
     block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,13 +92,12 @@ def test_recognise_has_rows_of_known_and_unknown_objects_and_goes_on_where_it_wa
     found = rows(tmp_path, "recognise")
     mine = [row for row in found if (row["of"], row["skin"]) == (recognise.TEN, "exact")]
     of = {figure: [row for row in mine if row["figure"] == figure] for figure in {*_figures(mine)}}
-    assert {"identity", "cost", "calibration", "confusion", "unknown"} <= of.keys()
+    assert {"identity", "cost", "calibration", "unknown"} <= of.keys()
     assert {row["object"] for row in of["identity"]} == {"all", str(block), "025_mug"}
     assert [row["contact"] for row in of["identity"][:TOUCHES]] == list(range(1, TOUCHES + 1))
     assert [row["contact"] for row in of["unknown"] if "contact" in row] == list(recognise.TOLD)
     others = {row["figure"] for row in found if row["of"] == recognise.OTHER_TEN}
     assert "unknown" not in others  # only the first filter meets them
-    assert (tmp_path / "out" / "recognise.png").stat().st_size > 0
     before = written_at(tmp_path / "memory")
     assert evaluate("recognise", f"{block},025_mug", tmp_path, *few) == 0
     assert written_at(tmp_path / "memory") == before
@@ -130,23 +105,6 @@ def test_recognise_has_rows_of_known_and_unknown_objects_and_goes_on_where_it_wa
 
 def _figures(found: list[dict[str, Any]]) -> list[str]:
     return [row["figure"] for row in found]
-
-
-def test_the_picture_of_ten_objects_on_two_skins_is_small(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    drawn = [
-        {"figure": "confusion", "skin": skin, "contact": contact, "names": list(levels.UNMET)}
-        | {"shares": rng.random((11, 11)).tolist()}
-        for skin in recognise.SKINS
-        for contact in recognise.SHOWN
-    ]
-    bins = [{"mean_p": 0.95, "right": 0.9}]
-    drawn += [
-        {"figure": "calibration", "skin": skin, "ece": 0.05, "reliability": bins}
-        for skin in recognise.SKINS
-    ]
-    identity_chart.draw(drawn, tmp_path / "a.png")
-    assert (tmp_path / "a.png").stat().st_size < 300_000
 
 
 @pytest.fixture

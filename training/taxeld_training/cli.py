@@ -16,19 +16,16 @@ from taxeld_hil.objects import HEIGHT_M
 from taxeld_training.objects import DEPTH_MAX_M
 
 EXPERIMENTS = {  # name → module, and the function in it that writes rows
-    "proposals": ("samplers.evaluate", "proposals"),
-    "filter": ("filters.experiment", "filter_rows"),
     "whole": ("filters.whole", "whole_rows"),
     "works": ("filters.works", "work_rows"),
-    "stability": ("filters.experiment", "stability_rows"),
+    "stability": ("filters.stability", "stability_rows"),
     "reliability": ("filters.reliability", "reliability_rows"),
     "recognise": ("filters.recognise", "recognise_rows"),
     "links": ("filters.linked", "link_rows"),
     "advice": ("filters.advised", "advice_rows"),
     "push": ("filters.push", "push_rows"),
 }
-UNCELLED = ("proposals", "push", "recognise", "links")  # of no chosen cells
-SINGLE = ("proposals", "recognise")  # experiments of one layout
+UNCELLED = ("push", "recognise", "links")  # of no chosen cells
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -78,7 +75,7 @@ def _scene(args: argparse.Namespace) -> int:
 def _evaluate(args: argparse.Namespace) -> int:
     """Run an experiment; it writes JSON and pictures.
 
-    taxeld-train evaluate proposals --quick --out results
+    taxeld-train evaluate works --quick --out results
     """
     from taxeld_training.jobs.options import Options
 
@@ -98,8 +95,8 @@ def _layouts(args: argparse.Namespace) -> tuple[str, ...]:
     from taxeld.layout import read as layouts
 
     found = tuple(options.layouts(args.layout))
-    if args.experiment in SINGLE and len(found) > 1:
-        raise SetupError(f"--layout: {args.experiment} has room for one; run it for each")
+    if args.experiment == "recognise" and len(found) > 1:
+        raise SetupError("--layout: recognise has room for one; run it for each")
     if args.experiment == "push" and found != ("",):
         raise SetupError("--layout: push is of the shipped bundles' own layout")
     for spec in filter(None, found):
@@ -177,21 +174,16 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(filter(None, text.split(",")))
 
 
-def _counts(text: str) -> tuple[int, ...]:
-    return tuple(map(int, _names(text)))
-
-
 def _add_options(one: argparse.ArgumentParser) -> None:
     add = one.add_argument
     add("experiment", choices=tuple(EXPERIMENTS))
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     options.add_jobs(one)
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
-    about = "default: box and mug; of filter, whole, works, recognise, proposals the ten"
+    about = "default: box and mug; of whole, works, recognise and advice the ten"
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
-    add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
-    options.add_layouts(one, "those skins")
-    about = "samplers (analytic, …) or filters (table, shipped, …)"
+    options.add_layouts(one, "rings of 5 rows")
+    about = "filters by their proposal (table, shipped, …), or guides of advice"
     add("--groups", type=_names, default=(), metavar="A,B", help=about)
     about = "conditions: factors (noise, skin, 'wrong object', …) or a level of one (moved=5)"
     add("--cells", type=_names, default=(), metavar="A,B", help=about)

@@ -7,10 +7,21 @@ emptied at the next minor version.
 
 ICUB = "an iCub's skin comes as an array (docs/array.md)"
 MEASURED = "'taxeld calibrate' measures it, and skin.calibration has its figure"
+WHOLE = "'evaluate whole' compares filters, 'evaluate stability' has them under each condition"
 SESSION = "'taxeld replay DIR' plays a session, and 'taxeld view DIR' shows it"
 
 GONE: dict[str, str] = {
     "advice": "taxeld advise CONFIG asks the daemon what it has felt, and advises; see its options",
+    "taxeld-hil draw": "'taxeld-hil run SCENARIO --png OUT' draws, 'taxeld view DIR' shows",
+    "taxeld-hil table": "'taxeld-hil matrix' has in which signs each fault showed, and how soon",
+    "taxeld-hil soak --lap": "a soak's report has a row a lap",
+    "taxeld-hil soak --no-faults": "a scenario without faults has none: 'taxeld-hil matrix demo'",
+    "taxeld-hil soak --frozen": "skin.learn = false has a daemon learn nothing",
+    "taxeld-train evaluate ablation": WHOLE,
+    "taxeld-train evaluate filter": WHOLE,
+    "taxeld-train evaluate integrity": "'evaluate reliability' counts what misleads",
+    "taxeld-train evaluate proposals": "'taxeld-train build' measures a bundle's samplers",
+    "taxeld-train evaluate --columns": "a ring of 8 columns is --cells columns=8",
     "taxeld-hil calibration": "taxeld calibrate SESSION --check judges a skin's own touches",
     "scene.max_objects": "one object is estimated; a second one shows as `other` or `moved`",
     "--histogram": "lat_us of 'taxeld status' and /taxeld/health has median, 99 % and the longest",

@@ -1,4 +1,4 @@
-"""Measurements of many runs: `taxeld-hil matrix`, `touches` and `calibration`.
+"""Measurements of many runs: `taxeld-hil expect`, `matrix` and `soak`.
 
 Their runs are jobs of `taxeld_hil.jobs`; figures are written as JSON and as a table.
 """

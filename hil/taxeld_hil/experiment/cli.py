@@ -1,4 +1,4 @@
-"""`taxeld-hil expect` and `matrix`: measurements of many runs."""
+"""`taxeld-hil expect`, `matrix` and `soak`: measurements of many runs."""
 
 import argparse
 import math
@@ -29,6 +29,7 @@ def add(commands: Commands) -> None:
     matrix.add_argument("--object", action="append", metavar="BUNDLE", help=about)
     options.add_layouts(matrix, "what each object's bundle was built for")
     _add_runs(matrix, seeds=5, foams=("scene", *SOFT))
+    _of_soak(documented(commands, _soak))
 
 
 def _of_expect(made: argparse.ArgumentParser) -> None:
@@ -50,6 +51,21 @@ def _of_expect(made: argparse.ArgumentParser) -> None:
     about = "try whether it works: 2 seeds of 3 touches"
     add("--quick", action="store_true", help=about)
     _add_runs(made, seeds=60)
+
+
+def _of_soak(made: argparse.ArgumentParser) -> None:
+    add = made.add_argument
+    add("scenario", nargs="?", default="demo", metavar="SCENARIO", help="default: demo")
+    about = "in place of the scenario's object: box, drill, mug, or a path"
+    add("--object", default="", metavar="BUNDLE", help=about)
+    add("--foam", default="", help=f"in place of the scenario's: {', '.join(FOAMS)}")
+    options.add_layouts(made, "the scenario's")
+    add("--seed", type=int, default=0)
+    long = made.add_mutually_exclusive_group().add_argument
+    long("--hours", type=float, default=1.0, help="hours of scans, on the fake clock")
+    long("--real-minutes", type=float, help="minutes over the transport, in real time")
+    options.add_jobs(made)
+    add("--out", type=Path, default=Path("soak.json"), help="the report")
 
 
 def _add_runs(made: argparse.ArgumentParser, seeds: int, foams: tuple[str, ...] = ()) -> None:
@@ -96,29 +112,39 @@ def _matrix(args: argparse.Namespace) -> int:
 
     taxeld-hil matrix demo --seeds 2 --out matrix
     """
-    from taxeld_hil.experiment import matrix
+    from taxeld_hil.experiment import matrix, measurement
     from taxeld_hil.scenario import scenario as scenarios
 
+    if args.out is None:
+        raise SetupError("--out: is required")
     names = args.scenario or list(scenarios.shipped())
     objects, foams = args.object or OBJECTS, args.foam or args.foams
     layouts = options.layouts(args.layout)
     todo = matrix.jobs(names, objects, foams, args.seeds, real=args.real, layouts=layouts)
-    runs = _saved(todo, args, matrix.described, "scenarios.json")
+    runs = _done(todo, args, matrix.described)
+    measurement.save(args.out / "scenarios.json", runs)
     print("\n".join(matrix.lines(runs)))
     return 0 if all(run["passed"] for run in runs) else 1
 
 
-def _saved(
-    todo: list[Job], args: argparse.Namespace, describe: Callable[[Any], str], name: str
-) -> list[dict[str, Any]]:
-    """The jobs' results, which are also saved under this name in the directory `--out`."""
-    from taxeld_hil.experiment import measurement
+def _soak(args: argparse.Namespace) -> int:
+    """Run random faults for hours, on one daemon for each layout.
 
-    if args.out is None:
-        raise SetupError("--out: is required")
-    runs = _done(todo, args, describe)
-    measurement.save(args.out / name, runs)
-    return runs
+    taxeld-hil soak --hours 2
+    taxeld-hil soak --real-minutes 10
+    """
+    from taxeld_hil.experiment import measurement, soak
+    from taxeld_hil.scenario import scenario as scenarios
+
+    base = scenarios.load(args.scenario).touching(args.object)
+    subjects = [base.on(args.foam, layout) for layout in options.layouts(args.layout)]
+    real = args.real_minutes is not None
+    hours = args.real_minutes / 60.0 if real else args.hours
+    args.workers = 1 if real else args.workers
+    runs = _done(soak.jobs(subjects, args.seed, hours, real=real), args, soak.described)
+    measurement.save(args.out, runs)
+    print("\n".join(map(soak.described, runs)))
+    return 0 if all(map(soak.passed, runs)) else 1
 
 
 def _done(

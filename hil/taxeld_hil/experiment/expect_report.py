@@ -26,16 +26,13 @@ def written(asked: Asked, own: Scenario, runs: Sequence[RunRow], out: Path) -> I
     model = load_model(own)
     rows = expect.table(trials)
     changes = expect.helps(runs)
-    try:
-        measurement.save(
-            out / "expect.json",
-            runs,
-            asked=asdict(asked),
-            touches=[row._asdict() for row in rows],
-            helps=[each._asdict() for each in changes],
-        )
-    except OSError as error:
-        raise SetupError(f"--out: {out}: cannot be written ({error.strerror})") from None
+    measurement.save(
+        out / "expect.json",
+        runs,
+        asked=asdict(asked),
+        touches=[row._asdict() for row in rows],
+        helps=[each._asdict() for each in changes],
+    )
     yield (
         f"{asked.object} on {model.layout.name}, {len(model.layout)} taxels, foam {own.physics} of "
         f"{1e3 * model.depth_max_m:g} mm, robot {1e3 * asked.robot_m:g} mm: {len(trials)} trials"

@@ -5,13 +5,15 @@ from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
 
-from taxeld_hil.experiment.measurement import RunRow, digest, require
-from taxeld_hil.integrity import is_found
-from taxeld_hil.jobs import Job, layout_name
+from taxeld.errors import SetupError
+from taxeld_hil.experiment.measurement import RunRow, about, digest, row, title
+from taxeld_hil.jobs import Job
 from taxeld_hil.run.fake_run import NOT_INJECTED, FakeRun
 from taxeld_hil.run.live import LiveRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.world.bundled import solid_of
+from taxeld_hil.world.world import load_model
 
 
 def jobs(
@@ -21,7 +23,7 @@ def jobs(
     seeds: int,
     *,
     real: bool,
-    layouts: Sequence[str] = ("",),
+    layouts: Sequence[str],
 ) -> list[Job]:
     """A job for each run of scenarios with bundles, skins and layouts, seed by seed, so that a part
     of them is as fair as all. With `real`, a scenario with a fault that no fake clock can inject
@@ -31,18 +33,22 @@ def jobs(
         SetupError: there is no such scenario, object or skin, an object has no mesh here, or there
             are no seeds.
     """
-    require(objects, skins, seeds, layouts, soft=False)
+    if seeds < 1:
+        raise SetupError("--seeds must be at least 1")
+    subjects = [
+        (name, scenario.load(name).touching(bundle).on(skin, layout))
+        for name, skin, bundle, layout in product(scenarios, skins, objects, layouts)
+    ]
+    for _, subject in subjects:  # a mesh is built once, before several workers need it
+        model = load_model(subject)
+        if subject.physics != "scene":
+            solid_of(subject.bundle, model.layout)
     found = []
-    for seed in range(seeds):
-        for name in scenarios:
-            asked = scenario.load(name)
-            in_real_time = real and any(fault.kind in NOT_INJECTED for fault in asked.fault)
-            for skin, bundle, layout in product(skins, objects, layouts):
-                subject = asked.touching(bundle).on(skin, layout)
-                words = [bundle, skin, *filter(None, [layout_name(layout)]), f"seed {seed}"]
-                title = ", ".join([name, *words, *["real time"] * in_real_time])
-                arguments = (name, subject, seed, in_real_time)
-                found.append(Job(title, play, arguments, code=digest(subject)))
+    for seed, (name, subject) in product(range(seeds), subjects):
+        in_real_time = real and any(fault.kind in NOT_INJECTED for fault in subject.fault)
+        words = title(name, subject, seed) + ", real time" * in_real_time
+        arguments = (name, subject, seed, in_real_time)
+        found.append(Job(words, play, arguments, code=digest(subject)))
     return found
 
 
@@ -55,22 +61,11 @@ def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> RunRow:
             grade = run.graded(Path(place))
     else:
         grade = FakeRun(subject, seed).graded(stem)
-    figures, error_mm = grade.figures, grade.figures["error_mm"]
     return {
         "scenario": name,
-        "bundle": subject.bundle,
-        "skin": subject.physics,
-        "layout": layout_name(subject.layout),  # empty: what the bundle was built for
-        "seed": seed,
+        **about(subject, seed),
         "real": in_real_time,
-        "passed": grade.passed,  # all checks
-        "found": error_mm is not None and bool(is_found(error_mm)),
-        "error_mm": None if error_mm is None else round(error_mm, 3),  # up to symmetry
-        "status": figures["status"],
-        "contacts": figures["contacts"],  # counted by the daemon
-        "misleading": figures["misleading"]["episodes"],
-        "stanford": figures["stanford"],
-        "failed": [check.name for check in grade.checks if check.passed is False],
+        **row(grade),
     }
 
 
@@ -91,8 +86,8 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
         columns.setdefault(f"{run['skin']}, {name}", []).append(run)
     yield "| scenario | " + " | ".join(columns) + " |"
     yield "|---" * (len(columns) + 1) + "|"
-    for layout in dict.fromkeys(run.get("layout", "") for run in runs):
-        on = [[r for r in mine if r.get("layout", "") == layout] for mine in columns.values()]
+    for layout in dict.fromkeys(run["layout"] for run in runs):
+        on = [[r for r in mine if r["layout"] == layout] for mine in columns.values()]
         there = f", {layout}" if layout else ""
         for name in dict.fromkeys(run["scenario"] for run in runs):
             cells = [_cell([r for r in mine if r["scenario"] == name]) for mine in on]
@@ -103,6 +98,6 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
 def _cell(runs: Sequence[RunRow]) -> str:
     sure = [run for run in runs if run["found"] and run["status"] == "converged"]
     failed = sum(not run["passed"] for run in sure)
-    misled = sum(run.get("misleading", 0) > 0 for run in runs)  # older runs were not asked
+    misled = sum(bool(run["misleading_at_s"]) for run in runs)
     text = f"{len(sure)} of {len(runs)}" + f", {failed} failed" * bool(failed)
     return text + f", {misled} misleading" * bool(misled)

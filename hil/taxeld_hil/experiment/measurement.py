@@ -1,4 +1,4 @@
-"""Measurements of many runs: their checks, the digest of their code, and their files."""
+"""Measurements of many runs: their rows, the digest of their code, and their files."""
 
 import hashlib
 import json
@@ -11,40 +11,43 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layout_files
 from taxeld.proposals import bundle, manifest
 from taxeld_hil import jobs
-from taxeld_hil.scenario import scenario
+from taxeld_hil.grade.grade import Grade
+from taxeld_hil.integrity import is_found
+from taxeld_hil.jobs import layout_name
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.bundled import solid_of
-from taxeld_hil.world.world import load_model
 
 RunRow: TypeAlias = dict[str, Any]  # one run's figures, as JSON has them
 
 
-def require(
-    objects: Sequence[str],
-    skins: Sequence[str],
-    seeds: int,
-    layouts: Sequence[str] = ("",),
-    *,
-    soft: bool,
-) -> None:
-    """Check the asked objects, skins, layouts and seeds, and build each object's mesh once, before
-    several workers need it; `soft`: only soft skins will do.
+def title(name: str, subject: Scenario, seed: int) -> str:
+    """A run as the progress of jobs names it."""
+    bundle, skin, layout, _ = about(subject, seed).values()
+    return ", ".join(filter(None, [name, bundle, skin, layout, f"seed {seed}"]))
 
-    Raises:
-        SetupError: there is no such skin or layout, an object has no bundle or no mesh here, or
-            there are no seeds.
-    """
-    if seeds < 1:
-        raise SetupError("--seeds must be at least 1")
-    demo = scenario.load("demo")
-    physics = {demo.on(skin).physics for skin in skins}
-    if soft and "scene" in physics:
-        raise SetupError("--foam scene: is no soft skin; name typical, poor or stiff")
-    for name in objects:
-        for layout in layouts:
-            model = load_model(demo.touching(name).on("", layout))
-            if physics != {"scene"}:
-                solid_of(name, model.layout)
+
+def about(subject: Scenario, seed: int) -> RunRow:
+    """What a run is of."""
+    return {
+        "bundle": subject.bundle,
+        "skin": subject.physics,
+        "layout": layout_name(subject.layout),  # empty: what the bundle was built for
+        "seed": seed,
+    }
+
+
+def row(grade: Grade) -> RunRow:
+    """The figures of a run that was graded."""
+    figures, error_mm = grade.figures, grade.figures["error_mm"]
+    return {
+        "passed": grade.passed,  # all checks
+        "found": error_mm is not None and bool(is_found(error_mm)),
+        "error_mm": None if error_mm is None else round(error_mm, 3),  # up to symmetry
+        "status": figures["status"],
+        "contacts": figures["contacts"],  # counted by the daemon
+        "misleading_at_s": figures["misleading"]["at_s"],  # begins of episodes
+        "faults": figures["faults"],
+        "failed": [check.name for check in grade.checks if check.passed is False],
+    }
 
 
 def digest(subject: Scenario) -> str:
@@ -61,11 +64,18 @@ def digest(subject: Scenario) -> str:
 
 def save(path: Path, runs: Sequence[RunRow], **about: Any) -> None:
     """Write runs as JSON, a run a line: a diff can be read; before them what is said `about` them,
-    a value a line."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    a value a line.
+
+    Raises:
+        SetupError: the file cannot be written.
+    """
     lines = ",\n".join(map(json.dumps, runs))
     head = "".join(f"{json.dumps(key)}: {json.dumps(value)},\n" for key, value in about.items())
-    path.write_text(f'{{{head}"runs": [\n{lines}\n]}}\n', encoding="utf-8")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f'{{{head}"runs": [\n{lines}\n]}}\n', encoding="utf-8")
+    except OSError as error:
+        raise SetupError(f"--out: {path}: cannot be written ({error.strerror})") from None
 
 
 @cache

@@ -73,7 +73,6 @@ def grade(run: Run, judge: Judge, laws: list[Law], ledger: Ledger | None) -> Gra
             "worst_mm": judge.tally.worst_misleading_mm,
             "at_s": judge.tally.misleading_at_s,
         },
-        "stanford": judge.tally.stanford.row(),
         "age_ms": _percentiles(judge.tally.ages, 1e3 * AGE_UNIT_S),
         "tick_ms": _percentiles(judge.tally.ticks_us, 1e-3),
         "faults": [_fault_row(seen) for seen in judge.seen],

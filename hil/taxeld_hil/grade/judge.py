@@ -17,7 +17,6 @@ from taxeld.pipeline.freshness import Why
 from taxeld_hil import integrity
 from taxeld_hil.grade import flags
 from taxeld_hil.grade.flags import Flag, Health, TaxelsOf
-from taxeld_hil.integrity import Stanford
 from taxeld_hil.rig.rig import SETTLE_S
 from taxeld_hil.scenario.scenario import Fault, Scenario
 
@@ -96,7 +95,6 @@ class Tally:
     misleading_episodes: int = 0  # uninterrupted sequences of misleading estimates
     misleading_at_s: list[float] = field(default_factory=list)  # when the first episodes began
     worst_misleading_mm: float = 0.0
-    stanford: Stanford = field(default_factory=Stanford)  # the last estimate after each contact
     # ages of each scan's first estimate [AGE_UNIT_S] and the times of those ticks [us], with counts
     ages: Counter[int] = field(default_factory=Counter)
     ticks_us: Counter[int] = field(default_factory=Counter)
@@ -157,8 +155,6 @@ class Judge:
             tally.ticks_us[round(sample.total_us)] += 1
         if self.truth is not None:
             self._count(sample)
-            if last is not None and sample.contacts != last.contacts:
-                self._note(last)
         if self._todo or self._live:
             self._advance(sample.t)
             for seen in self._live:
@@ -199,8 +195,6 @@ class Judge:
         for seen in self._live:
             self._close(seen)
         self._live = []
-        if self.last is not None and self.truth is not None:
-            self._note(self.last)
 
     def _advance(self, t: float) -> None:
         """Follow the faults that have begun, and close those whose time to recover is over."""
@@ -241,7 +235,8 @@ class Judge:
         tally, misled = self.tally, False
         if integrity.is_sure(sample.claimed):
             tally.sure += 1
-            error_mm = self._claimed_error_mm(sample)
+            right = sample.object == self.object
+            error_mm = self.error_mm(sample.map) if right else np.nan
             misled = bool(integrity.is_misleading(sample.p, error_mm, 1e3 * sample.radius_m))
         if misled:
             tally.misleading += 1
@@ -251,15 +246,6 @@ class Judge:
             tally.misleading_at_s.append(sample.t)
             del tally.misleading_at_s[EPISODES_KEPT:]
         self._misled = misled
-
-    def _note(self, sample: Sample) -> None:
-        if sample.contacts:
-            error_mm = self._claimed_error_mm(sample)
-            self.tally.stanford.add(sample.claimed, error_mm, 1e3 * sample.radius_m)
-
-    def _claimed_error_mm(self, sample: Sample) -> float:
-        """Error of an estimate [mm]; not a number where it is of another object."""
-        return self.error_mm(sample.map) if sample.object == self.object else float("nan")
 
 
 def _window_s(scenario: Scenario) -> float:

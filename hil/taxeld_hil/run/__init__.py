@@ -1,4 +1,4 @@
-"""A scenario's run: on the fake clock, in real time, on hardware or for hours; tables and pictures.
+"""A scenario's run: on the fake clock, in real time or on hardware; its table and its picture.
 
 It puts the other rooms together. Only the command line and the experiment import it.
 """

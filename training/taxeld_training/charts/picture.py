@@ -1,14 +1,12 @@
 """Parts of all pictures: colours, legends, axes, and the file."""
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from PIL import Image
 
@@ -36,16 +34,11 @@ MARKERS = (
 )  # seven and eight colours: 56 pairs before one repeats
 FIRST = (  # names with the same style in every picture
     "density",
-    "ddpm",
     "paper",
-    "dpm",
     "table",
     "manifold",
     "projection",
-    "exact",
-    "ddim",
 )
-LEGEND = 0.8  # entries of a legend to an inch
 DPI = 120
 
 
@@ -55,24 +48,6 @@ def styles(names: Iterable[str]) -> dict[str, Style]:
     order = [*FIRST, *sorted(wanted - set(FIRST))]
     pairs = ((COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i in range(len(order)))
     return {name: pair for name, pair in zip(order, pairs, strict=True) if name in wanted}
-
-
-def legend(figure: Figure, style: Mapping[str, Style], where: str) -> None:
-    """The markers' names, above ("upper") or below ("lower") all axes."""
-    handles = [
-        Line2D([], [], color=colour, marker=marker, ls="none", ms=6, label=name)
-        for name, (colour, marker) in style.items()
-    ]
-    lines = math.ceil(len(handles) / (LEGEND * figure.get_figwidth()))
-    figure.legend(
-        handles=handles,
-        loc=f"outside {where} center",
-        ncols=-(-len(handles) // lines),
-        fontsize=9,
-        frameon=False,
-        handletextpad=0.3,
-        columnspacing=1.5,
-    )
 
 
 def plain(axes: Axes, size: float) -> None:

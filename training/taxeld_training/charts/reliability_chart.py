@@ -1,29 +1,18 @@
-"""The picture of `evaluate reliability`: do `p` and `radius_m` keep their word?"""
+"""The picture of `evaluate reliability`: does `p` keep its word?"""
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from taxeld_hil.integrity import Stanford
-from taxeld_training.charts import picture, stanford_chart
+from taxeld_training.charts import picture
 from taxeld_training.jobs.rows import Row
 
 
-def draw(over: Sequence[Row], single: Sequence[Row], path: Path) -> None:
-    """Left the share that is found by p, a curve for each row in `over`; right the Stanford diagram
-    of the rows of `single` cells."""
-    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    _curves(left, over)
-    every = Stanford.of_rows(row["stanford"] for row in single)
-    stanford_chart.panel(figure, right, every, "all")
-    picture.save(figure, path, palette=True)
-
-
-def _curves(axes: Axes, over: Sequence[Row]) -> None:
-    """The share that is found over the mean p of each bin."""
+def draw(over: Sequence[Row], path: Path) -> None:
+    """The share that is found over the mean p of each bin, a curve for each row."""
+    figure = Figure(figsize=(5.0, 4.2), layout="constrained")
+    axes = figure.subplots()
     picture.plain(axes, 8)
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", lw=0.8, ls=":")
     for row, colour, marker in zip(over, picture.COLOURS, picture.MARKERS, strict=False):
@@ -34,3 +23,4 @@ def _curves(axes: Axes, over: Sequence[Row]) -> None:
     axes.set_xlabel("p", fontsize=9)
     axes.set_title("share of estimates that are found", fontsize=9)
     axes.legend(fontsize=7, frameon=False)
+    picture.save(figure, path, palette=True)

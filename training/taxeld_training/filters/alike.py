@@ -15,17 +15,18 @@ from taxeld.estimator.bank import Known
 from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Table
-from taxeld_training.filters import several
+from taxeld_training.filters import identities
 from taxeld_training.filters.cells import TOUCHES
-from taxeld_training.filters.several import Recognised
+from taxeld_training.filters.follow import estimator_of, follow
+from taxeld_training.filters.identities import Identities
+from taxeld_training.filters.methods import TABLED, TouchResult
 from taxeld_training.filters.touches import FOAMS, EndTrials
 from taxeld_training.filters.trials import Trial
-from taxeld_training.jobs import identities
 from taxeld_training.jobs.blocks import SEEDS_APART
 
 STAGE = "pairs"
 
-Run = tuple[int, int, list[Recognised]]  # trial, number of the touched object, its touches
+Run = tuple[int, int, list[TouchResult]]  # trial, number of the touched object, its touches
 
 
 def pairs(
@@ -44,7 +45,7 @@ def pairs(
     for finished, part in enumerate(made, 1):
         runs += part
         progress(STAGE, finished / asked.workers)
-    given = several.identities([(true, touches) for _, true, touches in sorted(runs)])
+    given = Identities.of([(true, touches) for _, true, touches in sorted(runs)])
     return {
         "foam": asked.foam,
         "trials": asked.trials,
@@ -75,6 +76,7 @@ def _played(folders: Sequence[Path], layout: Layout, asked: EndTrials, trials: r
     for seed in trials:
         own = SEEDS_APART * asked.seed + seed
         for true, model in enumerate(models):
-            trial = list(Trial(model, own, TOUCHES, FOAMS[asked.foam]))
-            found.append((seed, true, several.recognise(trial, own, known)))
+            trial = Trial(model, own, TOUCHES, FOAMS[asked.foam])
+            run = follow(trial, estimator_of(known, TABLED, own), true)
+            found.append((seed, true, run))
     return found

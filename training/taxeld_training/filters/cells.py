@@ -11,6 +11,8 @@ from typing import Any
 from taxeld.estimator.estimate import Hypotheses, Status
 from taxeld_training.filters import follow
 from taxeld_training.filters.conditions import TrialConditions
+from taxeld_training.filters.guides import Guide
+from taxeld_training.filters.identities import UNKNOWN
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs import blocks
@@ -24,8 +26,6 @@ TOUCHES = 8
 BLOCK, GRID_BLOCK = 25, 5  # seeds a job; a trial of the grid filter takes seconds
 QUICK_UPDATES = 0.02
 
-seed_of = blocks.seed_of
-
 Results = dict[int, list[TouchResult]]  # results of each touch, by the trial's seed
 
 
@@ -37,6 +37,18 @@ class Cell:
     method: Method
     conditions: TrialConditions = field(default_factory=TrialConditions)
     touched: str = ""  # object of the trials; empty: the setting's object, which the filter assumes
+    more: tuple[Setting, ...] = ()  # further objects that the filter knows, on the same skin
+    guide: str = ""  # of `GUIDES`; empty: presses know where the object is
+
+    @property
+    def known(self) -> tuple[Setting, ...]:
+        """The objects that the filter knows."""
+        return (self.setting, *self.more)
+
+    @property
+    def touches(self) -> Setting:
+        """The touched object."""
+        return replace(self.setting, object=self.touched or self.setting.object)
 
     @property
     def name(self) -> str:
@@ -91,7 +103,7 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options, size: int = 0) -> 
         is_late=is_grid,
     )
     return {
-        cell: {seed: [_read(*touch) for touch in trial] for seed, trial in trials.items()}
+        cell: {seed: [read(*touch) for touch in trial] for seed, trial in trials.items()}
         for cell, trials in done.items()
     }
 
@@ -99,31 +111,38 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options, size: int = 0) -> 
 def play(cell: Cell, first: int, count: int, file: str) -> list[list[Any]]:
     """Results of the trials of `count` seeds, a list of a `TouchResult`'s fields for each touch;
     `file` has a learned proposal."""
-    model = trained.model_of(cell.setting)
-    other = replace(cell.setting, object=cell.touched or cell.setting.object)
-    touched = trained.model_of(other)
-    proposal = None
-    if cell.method.proposal != GRID:
-        proposal = trained.proposal_of(cell.method.proposal, cell.setting, file)
-    trials = (
-        Trial(touched, seed, TOUCHES, cell.conditions) for seed in range(first, first + count)
-    )
-    return [
-        [(round(error_mm, 4), *rest) for error_mm, *rest in touches]
-        for touches in (follow.follow(trial, cell.method, model, proposal) for trial in trials)
-    ]
+    touched = trained.model_of(cell.touches)
+    true = cell.known.index(cell.touches) if cell.touches in cell.known else UNKNOWN
+    found = []
+    for seed in range(first, first + count):
+        trial = Trial(touched, seed, TOUCHES, cell.conditions)
+        if cell.method.proposal == GRID:
+            model = trained.model_of(cell.setting)
+            found.append(follow.follow_grid(trial, model, cell.method.touches, true))
+            continue
+        known = [trained.known_of(each, cell.method.proposal, file) for each in cell.known]
+        estimator = follow.estimator_of(known, cell.method, seed)
+        guide = Guide(cell.guide, estimator, seed) if cell.guide else None
+        run = follow.follow(replace(trial, guide=guide), estimator, true)
+        costs_ms = [0.0, *guide.costs_ms] if guide and guide.costs_ms else [0.0] * len(run)
+        found.append([each._replace(guide_ms=ms) for each, ms in zip(run, costs_ms, strict=True)])
+    return [[_rounded(touch) for touch in trial] for trial in found]
 
 
-def _read(
+def _rounded(touch: TouchResult) -> TouchResult:
+    objects = [float(f"{share:.6g}") for share in touch.objects]
+    return touch._replace(map_mm=round(touch.map_mm, 4), objects=objects)
+
+
+def read(
     map_mm: float,
     status: int | None,
     particles: int,
     p: float,
     radius_m: float,
     hypotheses: Sequence[float],
-    cpu_ms: float,
-    idle_ms: float,
+    *rest: Any,
 ) -> TouchResult:
+    """A touch as a job's file has it."""
     known = None if status is None else Status(status)
-    promised = p, radius_m, Hypotheses(*hypotheses)
-    return TouchResult(map_mm, known, particles, *promised, cpu_ms, idle_ms)
+    return TouchResult(map_mm, known, particles, p, radius_m, Hypotheses(*hypotheses), *rest)

@@ -2,87 +2,95 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 
 from taxeld.arrays import Poses
+from taxeld.config.tables import FilterConfig, SensorPoseConfig
+from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import Mixture
-from taxeld.model.contacts import Proposal
+from taxeld.estimator.intake import Intake
+from taxeld.estimator.memory import Slack
+from taxeld.estimator.news import News
+from taxeld.estimator.rule import EstimatorCounters
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import add_m
-from taxeld_hil.integrity import is_misleading
-from taxeld_training.filters import gridded, methods, pushing
-from taxeld_training.filters.methods import Method, TouchResult
-from taxeld_training.filters.pushing import PushedTrial, by_ground
-from taxeld_training.filters.trials import SCAN_S, Trial, TrialScan
+from taxeld_training.filters.identities import UNKNOWN
+from taxeld_training.filters.methods import NOISE, Method, TouchResult
+from taxeld_training.filters.trials import SCAN_S, TrialScan
+from taxeld_training.limits.grid_filter import GridFilter
 
-TOLD = "told"
 OWN_SEEDS = 2**31  # added to a trial's seed, so that a filter does not draw what its trial drew
+SLACK = Slack(SensorPoseConfig().sigma_m, FilterConfig().nudge_m)  # the daemon's default
 
 
-def follow(
-    trial: Trial, method: Method, model: ObservationModel, proposal: Proposal | None
-) -> list[TouchResult]:
-    """The result of each touch, of a method that assumes the object of `model`."""
-    if proposal is None:
-        return _follow_grid(trial, model, method.touches)
-    estimator = Estimator(model, proposal, method.config(OWN_SEEDS + trial.seed))
+def estimator_of(known: Sequence[Known], method: Method, seed: int) -> Estimator:
+    """The filter of a method that knows these objects, for the trial of a seed."""
+    first, *more = known
+    config = method.config(OWN_SEEDS + seed)
+    return Estimator(first.model, first.proposal, config, more=more, beside=first.beside)
+
+
+def follow(scans: Iterable[TrialScan], estimator: Estimator, true: int = 0) -> list[TouchResult]:
+    """The result of each touch; `true`: the number of the touched object, or UNKNOWN."""
     found = []
-    for _, moments in groupby(trial, key=lambda moment: moment.touch):
+    for _, moments in groupby(scans, key=lambda moment: moment.touch):
         all_s, idle_s = list[float](), list[float]()
         for moment in moments:
             thoughts, began_s = estimator.counters.thoughts, time.process_time()
-            now = estimator.on_scan(moment.activation, moment.sensor)
+            now = estimator.on_scan(moment.activation, moment.sensor, moment.link)
             all_s.append(time.process_time() - began_s)
             if estimator.used is None and estimator.counters.thoughts == thoughts:
                 idle_s.append(all_s[-1])
-        error_mm = _error_mm(trial, model, moment, now.map)
-        promised = now.p, now.radius_m, now.hypotheses
-        spent_ms = 1e3 * math.fsum(all_s), 1e3 * float(np.mean(idle_s or math.nan)) / SCAN_S
-        found.append(TouchResult(error_mm, now.status, now.particles, *promised, *spent_ms))
+        is_right = now.object == true != UNKNOWN
+        model = estimator.known[now.object].model
+        found.append(
+            TouchResult(
+                error_mm(model, moment, now.map) if is_right else math.nan,
+                now.status,
+                now.particles,
+                now.p,
+                now.radius_m,
+                now.hypotheses,
+                1e3 * math.fsum(all_s),
+                1e3 * float(np.mean(idle_s or math.nan)) / SCAN_S,
+                now.object,
+                now.objects,
+            )
+        )
     return found
 
 
-def _follow_grid(
-    trial: Trial, model: ObservationModel, touches: Sequence[int]
+def follow_grid(
+    scans: Iterable[TrialScan], model: ObservationModel, touches: Sequence[int], true: int = 0
 ) -> list[TouchResult]:
-    """The result of each touch by the grid filter, which looks after some touches, or after
-    each. The trial's own processor time, little beside the grid's, is counted with it."""
+    """The result of each touch by the grid filter, which learns from what the estimator learns
+    from. It looks at its belief after some touches, or after each. The trial's own processor time,
+    little beside the grid's, is counted with it."""
+    grid = GridFilter(model, NOISE, SLACK)
+    intake, news = Intake(model, EstimatorCounters()), News(model.layout.radius_m)
     found, began_s = [], time.process_time()
-    for moment, grid in gridded.after_touches(trial, model):
-        size = len(grid) if not touches or moment.touch + 1 in touches else 0
-        error_mm = _error_mm(trial, model, moment, grid.estimate()[0]) if size else math.nan
+    for touch, moments in groupby(scans, key=lambda moment: moment.touch):
+        for moment in moments:
+            scan = intake.observation(moment.activation, moment.sensor)
+            new = None
+            if scan is not None and scan.live.any():
+                new = news.on_scan(moment.activation.t, scan)
+            if new is not None:
+                grid.update(new, touched=new.is_contact, contact=news.contacts)
+        size = len(grid) if not touches or touch + 1 in touches else 0
+        is_told = size and true != UNKNOWN
+        off_mm = error_mm(model, moment, grid.estimate()[0]) if is_told else math.nan
         spent_ms = 1e3 * (time.process_time() - began_s)
-        found.append(TouchResult(error_mm, None, size, cpu_ms=spent_ms))
+        found.append(TouchResult(off_mm, None, size, cpu_ms=spent_ms))
         began_s = time.process_time()
     return found
 
 
-def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str, Any]:
-    """A filter's median error [mm] during a push, and whether its estimate misleads at the end;
-    `motion` is the filter's, or TOLD: it knows the trial's ground."""
-    model, is_told = trial.model, motion == TOLD
-    config = methods.SHIPPED.config(OWN_SEEDS + trial.seed, "push" if is_told else motion)
-    estimator = Estimator(model, proposal, config)
-    if is_told and isinstance(estimator.rule, Mixture):
-        estimator.rule.push = by_ground(trial.ground)
-    errors = []
-    for moment in trial:
-        estimate = estimator.on_scan(moment.activation, moment.sensor)
-        if moment.touch == pushing.TOUCHES and moment.activation.z.any():
-            errors.append(1e3 * add_m(model.scene, estimate.map, moment.truth)[1])
-    misleading = is_misleading(estimate.p, errors[-1], 1e3 * estimate.radius_m)
-    return {"path_mm": float(np.median(errors)), "misleading": bool(misleading)}
-
-
-def _error_mm(trial: Trial, model: ObservationModel, moment: TrialScan, pose: Poses) -> float:
+def error_mm(model: ObservationModel, moment: TrialScan, pose: Poses) -> float:
     """Symmetric ADD [mm] of an estimate (3,). Where two objects of one kind are touched the nearer
     counts, as no reading tells which of them is meant."""
-    if trial.model is not model:
-        return math.nan
     truths = [moment.truth] if moment.twin is None else [moment.truth, moment.twin]
     return 1e3 * min(add_m(model.scene, pose, truth)[1] for truth in truths)

@@ -9,15 +9,11 @@ from taxeld.advice.advice import Advisor, Approach, Effort
 from taxeld.advice.lines import PAST_M, Lines, Reach
 from taxeld.arrays import Floats
 from taxeld.estimator.estimator import Estimator
-from taxeld.model import se2
 
 ANY = "any"  # presses that know where the object is, from a random side
 RANDOM = "random"  # any line of those that advice chooses from
-OPPOSITE = "opposite"  # through the belief's middle, each from the side opposite to the last
 ADVICE = "advice"
-ALL_LINES = "exhaustive"  # advice with every line judged by what would be read, and more hypotheses
-GUIDES = (ANY, RANDOM, OPPOSITE, ADVICE, ALL_LINES)
-EFFORTS = {ALL_LINES: Effort(own=48, fresh=32, tried=1000)}
+GUIDES = (ANY, RANDOM, ADVICE)
 
 
 class Guide:
@@ -26,17 +22,15 @@ class Guide:
     def __init__(self, name: str, estimator: Estimator, seed: int) -> None:
         """`name`: of `GUIDES`."""
         self._name, self._estimator = name, estimator
-        self._effort = EFFORTS.get(name, Effort())
-        self._advisor = Advisor(estimator, effort=self._effort)
+        self._advisor = Advisor(estimator)
         self._rng = np.random.default_rng((seed, 9))
-        self._direction = 0.0  # of the last approach
         self.costs_ms: list[float] = []  # processor time of each advice
 
     def __call__(self, touch: int) -> Approach | None:
         """The first touch is the same under all guides: it finds the object."""
         if touch == 0 or self._name == ANY:
             return None
-        return self._line() if self._name in (RANDOM, OPPOSITE) else self._advised()
+        return self._line() if self._name == RANDOM else self._advised()
 
     def _advised(self) -> Approach | None:
         began_s = time.process_time()
@@ -45,19 +39,13 @@ class Guide:
         return advice.approaches[0] if advice.approaches else None
 
     def _line(self) -> Approach | None:
-        own, fresh = self._effort.own, self._effort.fresh
-        found = hypotheses.drawn(self._estimator, own, fresh, self._rng)
+        effort = Effort()
+        found = hypotheses.drawn(self._estimator, effort.own, effort.fresh, self._rng)
         fan = self._advisor.fan(found, 0)
         free, ways = self._advisor.free(fan, found)
         if not len(free):
             return None
         at = int(self._rng.integers(len(free)))
-        if self._name == OPPOSITE:
-            turn = se2.wrap(free.direction - self._direction - np.pi)
-            off = free.start[:, :2] - found.weight @ found.pose[:, :2]
-            aside = np.cos(free.direction) * off[:, 1] - np.sin(free.direction) * off[:, 0]
-            at = int(np.lexsort((np.abs(aside), np.abs(turn).round(3)))[0])
-        self._direction = float(free.direction[at])
         return _approach(free.only(slice(at, at + 1)), ways[at])
 
 

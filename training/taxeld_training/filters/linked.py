@@ -4,28 +4,21 @@ All filters have the touches of the same seeds, so that they are paired: the obj
 stands, and each link has a sequence of touches of its own. The table proposes.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from time import process_time
-from typing import Any, NamedTuple
 
-import numpy as np
-
-from taxeld.arrays import Poses
 from taxeld.errors import SetupError
-from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.bank import Known
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
-from taxeld.model.symmetry import add_m
 from taxeld.proposals.analytic import Table
-from taxeld_hil.integrity import Claims
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
+from taxeld_training.filters import cells, follow, score
 from taxeld_training.filters.cells import TOUCHES
-from taxeld_training.filters.follow import OWN_SEEDS
-from taxeld_training.filters.several import TABLED
+from taxeld_training.filters.methods import TABLED, TouchResult
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.filters.trials import Trial, TrialScan
 from taxeld_training.jobs import blocks
@@ -40,15 +33,6 @@ OTHER_SEEDS = 2**20  # added to a trial's seed for each further link's touches
 OBJECT = "003_cracker_box"
 SKINS = ("exact", "typical")  # of `FOAMS`
 TURNS = {"first": (0,), "second": (1,), "both": (0, 1)}  # the links that touch, in turn
-
-
-class LinkedTouch(NamedTuple):
-    """The estimate after a touch, as `Claims` has it, and what it cost."""
-
-    p: float
-    radius_mm: float
-    error_mm: float  # symmetric ADD
-    cpu_ms: float  # processor time of the filter for all scans of the touch
 
 
 @dataclass(frozen=True)
@@ -80,7 +64,8 @@ def link_rows(options: Options) -> list[Path]:
     model_of(name, (one, two))
     wanted = {Linked(name, (one, two), skin, links): count for skin in SKINS for links in TURNS}
     rows = [
-        {"object": name, "skin": of.skin, "links": of.links} | _figures([*trials.values()])
+        {"object": name, "skin": of.skin, "links": of.links}
+        | score.by_touch([[cells.read(*touch) for touch in run] for run in trials.values()])
         for of, trials in blocks.trials(wanted, play, options, BLOCK).items()
     ]
     return [write(options, "links", rows)]
@@ -94,34 +79,19 @@ def model_of(name: str, on: tuple[str, str]) -> ObservationModel:
     return ObservationModel(cut[0], skins[0], DEPTH_MAX_M, [second])
 
 
-def play(given: Linked, first: int, count: int) -> list[list[LinkedTouch]]:
+def play(given: Linked, first: int, count: int) -> list[list[TouchResult]]:
     """Results of the trials of `count` seeds, of each touch."""
     model = model_of(given.object, given.layouts)
-    tables = [Table(each) for each in model.links]
-    return [_played(given, model, tables, seed) for seed in range(first, first + count)]
+    table, *beside = (Table(each) for each in model.links)
+    known = [Known(model, table, beside)]
+    return [
+        follow.follow(_touches(given, model, seed), follow.estimator_of(known, TABLED, seed))
+        for seed in range(first, first + count)
+    ]
 
 
-def _played(
-    given: Linked, model: ObservationModel, tables: Sequence[Table], seed: int
-) -> list[LinkedTouch]:
-    config = TABLED.config(OWN_SEEDS + seed)
-    estimator = Estimator(model, tables[0], config, beside=tables[1:])
-    found = []
-    for link, touch in _touches(given, model, seed):
-        begun = process_time()
-        for moment in touch:
-            estimator.on_scan(moment.activation, moment.sensor, link)
-        cpu_ms = 1e3 * (process_time() - begun)
-        now = estimator.estimate
-        error_mm = 1e3 * add_m(model.scene, now.map, touch[-1].truth)[1]
-        found.append(LinkedTouch(now.p, 1e3 * now.radius_m, round(error_mm, 4), cpu_ms))
-    return found
-
-
-def _touches(
-    given: Linked, model: ObservationModel, seed: int
-) -> Iterator[tuple[int, list[TrialScan]]]:
-    """The touches with their links, one after the other in time."""
+def _touches(given: Linked, model: ObservationModel, seed: int) -> Iterator[TrialScan]:
+    """The touches of the links, one after the other in time."""
     each = [
         [list(moments) for _, moments in groupby(trial, lambda moment: moment.touch)]
         for trial in (
@@ -136,29 +106,14 @@ def _touches(
         touch = each[link][k // len(turns)]
         # the object stands where it stands in the first link's trial
         move = se2.compose(start, se2.inverse(each[link][0][0].truth))
-        after = t - touch[0].activation.t
-        yield link, [_moved(moment, move, after) for moment in touch]
-        t = after + touch[-1].activation.t + BETWEEN_S
-
-
-def _moved(moment: TrialScan, move: Poses, after_s: float) -> TrialScan:
-    activation = replace(moment.activation, t=moment.activation.t + after_s)
-    sensor, truth = se2.compose(move, moment.sensor), se2.compose(move, moment.truth)
-    return moment._replace(activation=activation, sensor=sensor, truth=truth)
-
-
-def _figures(trials: list[list[list[float]]]) -> dict[str, Any]:
-    """Shares after each touch, and how many touches a trial took until it stayed found."""
-    *of, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
-    claims = Claims(*of)
-    both = claims.found & claims.sure
-    stays = np.logical_and.accumulate(both[:, ::-1], axis=1)
-    taken = TOUCHES + 1 - stays.sum(axis=1)
-    return {
-        "trials": len(trials),
-        "found": claims.found.mean(axis=0).round(3).tolist(),
-        "found_and_sure": both.mean(axis=0).round(3).tolist(),
-        "misleading": int(claims.misleading.sum()),
-        "touches_to_sure": round(float(taken.mean()), 3),
-        "touch_cpu_ms": round(float(np.median(cpu_ms[:, 1:])), 2),
-    }
+        after_s = t - touch[0].activation.t
+        for moment in touch:
+            t = moment.activation.t + after_s
+            yield moment._replace(
+                touch=k,
+                activation=replace(moment.activation, t=t),
+                sensor=se2.compose(move, moment.sensor),
+                truth=se2.compose(move, moment.truth),
+                link=link,
+            )
+        t += BETWEEN_S

@@ -5,7 +5,8 @@ all: a trial's own noise is a condition of its world, and no filter knows it.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from taxeld.config.tables import FilterConfig
@@ -61,11 +62,14 @@ SHIPPED = Method(
 )  # the daemon's own choice, with a shipped bundle and no configuration
 
 
+TABLED = replace(SHIPPED, proposal="table")  # nothing is trained for it
+
+
 class TouchResult(NamedTuple):
     """A filter's estimate after a touch; None or nan where the grid filter has nothing to say."""
 
     # Symmetric ADD of the heaviest mode, to the nearer object if there are two of a kind. It is nan
-    # where there is no estimate, and where the filter assumes another object than the one touched.
+    # where there is no estimate, and where that is of another object than the one touched.
     map_mm: float
     status: Status | None
     particles: int
@@ -74,6 +78,9 @@ class TouchResult(NamedTuple):
     hypotheses: Hypotheses = Hypotheses(math.nan, math.nan, math.nan)
     cpu_ms: float = math.nan  # processor time of the filter for all scans of the touch
     idle_ms: float = math.nan  # and for a second of scans that tell nothing
+    object: int = 0  # number of the object that the estimate is of
+    objects: Sequence[float] = ()  # probabilities of the known objects
+    guide_ms: float = 0.0  # processor time of the advice before this touch
 
     @property
     def radius_mm(self) -> float:

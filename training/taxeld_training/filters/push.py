@@ -8,9 +8,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld_training.filters import follow
+from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.mixture import Mixture
+from taxeld.model.contacts import Proposal
+from taxeld_hil.integrity import is_misleading
+from taxeld_training.filters import methods, pushing
 from taxeld_training.filters.cells import COLUMNS, setting_of
-from taxeld_training.filters.pushing import PushedTrial
+from taxeld_training.filters.follow import OWN_SEEDS, error_mm
+from taxeld_training.filters.pushing import PushedTrial, by_ground
 from taxeld_training.jobs import blocks
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.statistics import of_count, of_median, quantiles, rounded
@@ -19,12 +24,13 @@ from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
 
 OBJECTS = ("003_cracker_box", "025_mug")
-MOTIONS = ("push", "none", follow.TOLD)
+TOLD = "told"
+MOTIONS = ("push", "none", TOLD)
 SEEDS, QUICK_SEEDS = 200, 2
 
 BLOCK = 20  # seeds a job
 
-Trials: TypeAlias = list[dict[str, Any]]  # results of trials, as `follow_push` has them
+Trials: TypeAlias = list[dict[str, Any]]  # as `follow_push` has them
 
 
 @dataclass(frozen=True)
@@ -66,9 +72,26 @@ def play(of: Pushed, first: int, count: int) -> Trials:
     model = trained.model_of(of.setting)
     proposal = trained.proposal_of(DENSITY, of.setting, "")
     return [
-        follow.follow_push(PushedTrial(model, seed), of.motion, proposal)
+        follow_push(PushedTrial(model, seed), of.motion, proposal)
         for seed in range(first, first + count)
     ]
+
+
+def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str, Any]:
+    """A filter's median error [mm] during a push, and whether its estimate misleads at the end;
+    `motion` is the filter's, or TOLD: it knows the trial's ground."""
+    is_told = motion == TOLD
+    config = methods.SHIPPED.config(OWN_SEEDS + trial.seed, "push" if is_told else motion)
+    estimator = Estimator(trial.model, proposal, config)
+    if is_told and isinstance(estimator.rule, Mixture):
+        estimator.rule.push = by_ground(trial.ground)
+    errors = []
+    for moment in trial:
+        estimate = estimator.on_scan(moment.activation, moment.sensor)
+        if moment.touch == pushing.TOUCHES and moment.activation.z.any():
+            errors.append(error_mm(trial.model, moment, estimate.map))
+    misleading = is_misleading(estimate.p, errors[-1], 1e3 * estimate.radius_m)
+    return {"path_mm": float(np.median(errors)), "misleading": bool(misleading)}
 
 
 def _row(of: Pushed, trials: Trials) -> dict[str, Any]:

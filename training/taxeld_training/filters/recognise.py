@@ -14,18 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from taxeld_hil.integrity import is_found, is_sure
+from taxeld_hil.integrity import is_found
 from taxeld_hil.objects import meshes
-from taxeld_training.filters import several
-from taxeld_training.filters.cells import COLUMNS, TOUCHES, setting_of
+from taxeld_training.filters import cells, identities
+from taxeld_training.filters.cells import COLUMNS, TOUCHES, Cell, Results, setting_of
+from taxeld_training.filters.identities import UNKNOWN, Identities
 from taxeld_training.filters.levels import UNMET
-from taxeld_training.filters.several import Compared, Crowd, Recognised
+from taxeld_training.filters.methods import TABLED, TouchResult
 from taxeld_training.filters.touches import FOAMS
-from taxeld_training.jobs import blocks, identities
-from taxeld_training.jobs.identities import UNKNOWN
-from taxeld_training.jobs.identity_tables import tables
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.promises import rate
+from taxeld_training.jobs.rows import ALL
 from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import OBJECTS, Setting
 
@@ -35,36 +34,25 @@ QUICK_OBJECTS = 2
 BLOCK = 10  # seeds a job
 TEN, OTHER_TEN = "the ten", "ten others"  # names of the filters, by the objects that they know
 SKINS = ("exact", "typical")  # of `FOAMS`
-ALL = "all"
-SHOWN = (2, 4, 6)  # contacts with a confusion matrix
 TOLD = (4, 6, 8)  # contacts after which unknown objects are looked for
 
-Runs = dict[Crowd, list[list[Compared]]]  # results of each touch of the trials
+Run = tuple[str, list[TouchResult]]  # the touched object, and the result of each touch
 
 
 def recognise_rows(options: Options) -> list[Path]:
-    """Rows, tables and picture of `evaluate recognise`.
+    """Rows and tables of `evaluate recognise`.
 
     Raises:
         SetupError: no such object or layout, or the skin misses one.
     """
-    from taxeld_training.charts import identity_chart  # noqa: PLC0415  # matplotlib is not needed to train
-
     each = filters_of(options)
-    done = {
-        crowd: [[_read(*touch) for touch in trial] for trial in trials.values()]
-        for crowd, trials in blocks.trials(
-            wanted(each, options), several.play, options, BLOCK
-        ).items()
-    }
+    done = cells.run(wanted(each, options).items(), options, BLOCK)
     found = [
         row
         for (of, names), skin in ((one, skin) for one in each.items() for skin in SKINS)
         for row in _rows({"of": of, "skin": skin}, names, done)
     ]
-    data = write(options, "recognise", found, tables(found))
-    identity_chart.draw([row for row in found if row["of"] == TEN], data.with_suffix(".png"))
-    return [data, data.with_suffix(".png")]
+    return [write(options, "recognise", found)]
 
 
 def filters_of(options: Options) -> dict[str, tuple[str, ...]]:
@@ -74,24 +62,23 @@ def filters_of(options: Options) -> dict[str, tuple[str, ...]]:
     return {TEN: first, OTHER_TEN: tuple(name for name in UNMET if name not in first)[:most]}
 
 
-def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Crowd, int]:
-    """The trials: each filter with all objects that it knows, the first with the others as well."""
-    seeds, settings = _seeds(options), {}
-    for name in (name for names in each.values() for name in names):
+def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Cell, int]:
+    """The trials: each filter with all objects that it knows, the first with the others as well;
+    and the filters that know the touched object alone."""
+    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
+    every = [name for names in each.values() for name in names]
+    for name in every:
         meshes.find(name)
-        settings[name] = _setting(name, options)
     found = {}
     for of, names in each.items():
-        known = tuple(settings[name] for name in names)
-        for name in names if of == OTHER_TEN else settings:
-            count = seeds if name in names else max(round(UNKNOWN_SEEDS * seeds), 1)
-            for skin in SKINS:
-                found[Crowd(known, settings[name], FOAMS[skin])] = count
+        first, *more = (_setting(name, options) for name in names)
+        for touched in names if of == OTHER_TEN else every:
+            count = seeds if touched in names else max(round(UNKNOWN_SEEDS * seeds), 1)
+            for conditions in map(FOAMS.__getitem__, SKINS):
+                found[Cell(first, TABLED, conditions, touched, tuple(more))] = count
+                if touched in names:
+                    found[Cell(_setting(touched, options), TABLED, conditions, touched)] = count
     return found
-
-
-def _seeds(options: Options) -> int:
-    return options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
 
 
 def _setting(name: str, options: Options) -> Setting:
@@ -99,59 +86,55 @@ def _setting(name: str, options: Options) -> Setting:
     return replace(setting, skin=layout, columns=0) if layout else setting
 
 
-def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[str, Any]]:
+def _rows(
+    where: dict[str, str], names: Sequence[str], done: Mapping[Cell, Results]
+) -> list[dict[str, Any]]:
     """Rows of a filter that knows the objects `names`, on one skin."""
-    mine = {
-        crowd: runs
-        for crowd, runs in done.items()
-        if crowd.conditions == FOAMS[where["skin"]]
-        and tuple(setting.object for setting in crowd.known) == tuple(names)
-    }
-    every = [(crowd.true, run) for crowd, runs in mine.items() for run in runs]
-    known = [(true, run) for true, run in every if true != UNKNOWN]
-    if not known:
+    here = {cell: runs for cell, runs in done.items() if cell.conditions == FOAMS[where["skin"]]}
+    alone = [
+        (cell.touched, run)
+        for cell, runs in here.items()
+        if not cell.more and cell.touched in names
+        for run in runs.values()
+    ]
+    every = [
+        (cell.touched, run)
+        for cell, runs in here.items()
+        if tuple(setting.object for setting in cell.known) == tuple(names)
+        for run in runs.values()
+    ]
+    if not any(name in names for name, _ in every):
         return []
-    given = several.identities([(true, [touch.several for touch in run]) for true, run in every])
-    own = given.only(given.known)
-    objects = {ALL: own} | {name: own.only(own.true == k) for k, name in enumerate(names)}
+    given = Identities.of([(number_of(names, name), run) for name, run in every])
+    own, unknown = given.only(given.known), given.only(~given.known)
     found: list[dict[str, Any]] = [
         {"figure": "identity", **where, "object": name, "contact": contact}
         | identities.after(of, contact)
+        | _alone([run for touched, run in alone if name in (ALL, touched)], contact)
         | {"seeds": len(of)}
-        for name, of in objects.items()
+        for name in (ALL, *names)
+        for of in [own if name == ALL else own.only(own.true == names.index(name))]
         if len(of)
         for contact in range(1, TOUCHES + 1)
     ]
-    for each in found:
-        number = names.index(each["object"]) if each["object"] != ALL else None
-        same = [run for true, run in known if number in (None, true)]
-        each.update(_alone(same, each["contact"]))
-    found.append({"figure": "cost", **where, **_cost([run for _, run in known])})
-    bins, error = identities.identity_bins(own)
+    several_ms, one_ms = (
+        np.array([[touch.cpu_ms for touch in run] for name, run in runs if name in names])
+        for runs in (every, alone)
+    )
+    found.append({"figure": "cost", **where, **identities.cost(several_ms, one_ms)})
     found.append(
-        {"figure": "calibration", **where, "ece": error}
-        | {"ece_with_unknown": identities.identity_bins(given)[1], "reliability": bins}
+        {"figure": "calibration", **where, "ece": identities.identity_error(own)}
+        | {"ece_with_unknown": identities.identity_error(given)}
         | {"wrong_object_sure": rate((own.sure & ~own.right).ravel())}
         | {"far_and_sure": rate((own.sure & own.right & ~own.found).ravel())}
         | {"estimates": own.sure.size}
     )
-    found += [
-        {"figure": "parting", **where, **pair}
-        for pair in identities.parting(own, names)
-        if pair["q90"] is None
-    ]
-    found += [
-        {"figure": "confusion", **where, "contact": contact, "names": list(names)}
-        | {"shares": identities.confusion(given, contact)}
-        for contact in SHOWN
-    ]
-    if len(own) < len(given):
-        unknown = given.only(~given.known)
+    if len(unknown):
         sizes = {"seeds": len(own), "unknown_seeds": len(unknown)}
         found.append(
             {"figure": "unknown", **where, "sure": rate(unknown.sure.ravel()), **sizes}
             | {"sure_count": int(unknown.sure.sum()), "estimates": unknown.sure.size}
-            | {"taken": _taken(mine, names)}
+            | {"taken": _taken(every, names)}
         )
         found += [
             {"figure": "unknown", **where, "contact": contact}
@@ -162,37 +145,22 @@ def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[
     return found
 
 
-def _alone(runs: Sequence[Sequence[Compared]], contact: int) -> dict[str, Any]:
+def number_of(names: Sequence[str], name: str) -> int:
+    return names.index(name) if name in names else UNKNOWN
+
+
+def _alone(runs: Sequence[list[TouchResult]], contact: int) -> dict[str, Any]:
     """The share of runs that have found the object, by the filter that knows it alone."""
-    one = [touch.one for touch in (run[contact - 1] for run in runs) if touch.one is not None]
-    return share("found_alone", is_found([touch.map_mm for touch in one]))
+    return share("found_alone", is_found([run[contact - 1].map_mm for run in runs]))
 
 
-def _taken(runs: Runs, names: Sequence[str]) -> dict[str, int]:
+def _taken(runs: Sequence[Run], names: Sequence[str]) -> dict[str, int]:
     """How many estimates are sure of an object while another one is touched, that is unknown."""
     found = Counter(
-        f"{crowd.touched.object} for {names[touch.several.object]}"
-        for crowd, each in runs.items()
-        if crowd.true == UNKNOWN
-        for run in each
+        f"{touched} for {names[touch.object]}"
+        for touched, run in runs
+        if touched not in names
         for touch in run
-        if is_sure(touch.several.p)
+        if touch.sure
     )
     return dict(found.most_common())
-
-
-def _cost(runs: Sequence[Sequence[Compared]]) -> dict[str, float]:
-    """What the touches (N, T) of known objects cost, and the longest call of `learn`."""
-    pairs = [[(touch.several, touch.one or touch.several) for touch in run] for run in runs]
-    cpu_ms = np.array([[[one.cpu_ms for one in pair] for pair in run] for run in pairs])
-    worst_ms = np.array([[[one.worst_ms for one in pair] for pair in run] for run in pairs])
-    found = identities.cost(cpu_ms[..., 0], cpu_ms[..., 1])
-    for key, k in (("", 0), ("_one", 1)):
-        each = worst_ms[..., k].max(axis=1)
-        found[f"worst{key}_ms"] = round(float(each.max()), 2)
-        found[f"worst{key}_median_ms"] = round(float(np.median(each)), 2)
-    return found
-
-
-def _read(known: Sequence[Any], one: Sequence[Any] | None) -> Compared:
-    return Compared(Recognised(*known), None if one is None else Recognised(*one))

@@ -7,7 +7,6 @@ Where no bundle is shipped the table proposes, as nothing is trained for this.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +17,17 @@ from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.conditions import TrialConditions
-from taxeld_training.filters.experiment import cell_of
 from taxeld_training.filters.levels import LEVELS, UNMET, Level
-from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
+from taxeld_training.filters.methods import SHIPPED, TABLED, Method, TouchResult
+from taxeld_training.filters.stability import OBJECTS, cell_of
 from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.promise_tables import tables
 from taxeld_training.jobs.promises import Promises
 from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
 
-OBJECTS = ("003_cracker_box", "025_mug")
 SEEDS, QUICK_SEEDS = 40, 2
 MET = (  # objects that were taken for others while the filter was built
     "002_master_chef_can",
@@ -70,9 +67,9 @@ def reliability_rows(options: Options) -> list[Path]:
     over = [_group_row(name, given) for name, given in groups.items() if len(given)]
     single = [_cell_row(level, cell, results) for (level, cell), results in found.items()]
     name = "reliability_cells" if options.cells else "reliability"
-    data = write(options, name, [*over, *single], tables([*over, *single]))
+    data = write(options, name, [*over, *single])
     curves = [row for row in over if row["over"] in CURVES]
-    reliability_chart.draw(curves, single, data.with_suffix(".png"))
+    reliability_chart.draw(curves, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
 
 
@@ -117,8 +114,7 @@ def promised(found: Iterable[Results]) -> Promises:
 
 def method_of(setting: Setting) -> Method:
     """What ships; the table proposes where no density is shipped."""
-    learned = trained.is_learned(DENSITY, setting)
-    return replace(SHIPPED, proposal="table") if learned else SHIPPED
+    return TABLED if trained.is_learned(DENSITY, setting) else SHIPPED
 
 
 def is_tuned(level: Level, cell: Cell) -> bool:
@@ -182,7 +178,6 @@ def _cell_row(level: Level, cell: Cell, results: Results) -> dict[str, Any]:
         "tuned": is_tuned(level, cell),
         "proposal": cell.method.proposal,
         **promises.kept(given),
-        "stanford": given.stanford.row(),
         **(told(results) if level.touched else {}),
         **(noticed(results, kidnapped) if kidnapped else {}),
         "seeds": len(results),

@@ -15,6 +15,7 @@ import joblib
 
 from taxeld.config import tables
 from taxeld.errors import SetupError
+from taxeld.estimator.bank import Known
 from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC, Table
@@ -22,7 +23,7 @@ from taxeld_training.filters import enough
 from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.enough import Told
-from taxeld_training.filters.follow import follow
+from taxeld_training.filters.follow import estimator_of, follow
 from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.blocks import SEEDS_APART
@@ -128,9 +129,9 @@ def _played(
     made = bundle.load(str(folder), layout)
     found: dict[str, list[Told]] = {name: [] for name in filters}
     for name, method in filters.items():
-        proposal = made.open(method.proposal)
+        known = [Known(made.model, made.open(method.proposal))]
         for seed in range(worker, asked.trials, asked.workers):
             own = SEEDS_APART * asked.seed + seed
             trial = Trial(made.model, own, TOUCHES, FOAMS[asked.foam])
-            found[name].append(enough.told(follow(trial, method, made.model, proposal)))
+            found[name].append(enough.told(follow(trial, estimator_of(known, method, own))))
     return found

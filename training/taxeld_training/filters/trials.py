@@ -61,6 +61,7 @@ class TrialScan(NamedTuple):
     sensor: Poses  # (3,) in the world, as the robot reports it
     truth: Poses  # (3,) of the object in the world
     twin: Poses | None = None  # (3,) of a second object of the same kind
+    link: int = 0  # of several links: which touches
 
 
 class Waypoint(NamedTuple):

@@ -7,7 +7,7 @@ scans of the same trial that tell nothing, which are the same work for every fil
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,12 @@ import numpy as np
 
 from taxeld.proposals.analytic import Table
 from taxeld_hil.objects import meshes
-from taxeld_training.filters import cells, enough, experiment, levels
+from taxeld_training.filters import cells, enough, levels, score, stability
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import ALL, Row, condition, object_name, table
+from taxeld_training.jobs.rows import ALL
 from taxeld_training.objects.setting import OBJECTS
 from taxeld_training.samplers.trained import DENSITY, PAPER
 
@@ -28,7 +28,6 @@ SEEDS, QUICK_SEEDS = 40, 1
 BLOCK = 4  # trials of a job
 AFTER = 6  # touches by which a filter is judged
 SCENES_APART = 10**9  # seeds
-MOST_FOUND = 0.9
 QUIET = 0.1  # share of the quickest seconds that tell what a quiet machine takes
 
 FILTERS = (
@@ -98,7 +97,7 @@ def whole_rows(options: Options) -> list[Path]:
             for name, each in here.items()
             for row in _rows(level, name, each, idle_ms)
         ]
-    data = write(options, "whole", found, _table(found) if found else "")
+    data = write(options, "whole", found)
     whole_chart.draw(found, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
 
@@ -106,7 +105,7 @@ def whole_rows(options: Options) -> list[Path]:
 def _cell(method: Method, level: Level, name: str, options: Options) -> Cell:
     """A filter's trials in a scene: where nothing is trained, the table proposes."""
     setting = level.setting(name, options)
-    return experiment.cell_of(level, experiment.placed(method, setting, level), setting)
+    return stability.cell_of(level, stability.placed(method, setting, level), setting)
 
 
 def quiet_ms(touches: Iterable[TouchResult]) -> float:
@@ -169,51 +168,15 @@ def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
         "ships": own.is_shipped and own.proposal == Table.name,
         "enough": False,
         "on_front": False,
-        "seeds": len(trials),
     }
-    right = [[touch.found for touch in trial] for trial in trials]
     spent_ms = [
         touch.cpu_ms * idle_ms / float(np.nanmedian([each.idle_ms for each in trial]))
         for trial in trials
         for touch in trial
     ]
-    both = [[touch.is_right for touch in trial] for trial in trials]
-    shares = np.mean(both, axis=0).round(4).tolist()
     return row | {
         "ms": round(float(np.median(spent_ms)), 3),
         "ms_mean": round(float(np.mean(spent_ms)), 3),
         "idle_ms": round(quiet_ms(touches), 3),
-        "found": np.mean(right, axis=0).round(4).tolist(),
-        "found_and_sure": shares,
-        "touches_to_90": next((k for k, one in enumerate(shares, 1) if one >= MOST_FOUND), None),
-        "misleading": sum(touch.misleading for touch in touches),
+        **score.by_touch(trials),
     }
-
-
-def label(row: Row) -> str:
-    """A filter by its parts: table 100..400, 50 samples."""
-    least, most = row["particles"], row["particles_max"]
-    size = f"{least}..{most}" if most > least else str(least)
-    rule = "" if row["injection"] == "mixture" else f" {row['injection']}"
-    return f"{row['proposal']}{rule} {size}, {row['samples']} samples"
-
-
-def _table(rows: Sequence[Row]) -> str:
-    def shown(one: Callable[[list[Row]], Row | None]) -> Callable[[list[Row]], str]:
-        def text(of: list[Row]) -> str:
-            row = one(of)
-            if row is None:
-                return ""
-            return f"{row['found_and_sure'][AFTER - 1]:.0%}, {row['ms']:.1f} ms: {label(row)}"
-
-        return text
-
-    return table(
-        rows,
-        {"object": lambda row: object_name(str(row["object"])), "condition": condition},
-        {
-            "best": shown(lambda of: max(of, key=lambda row: row["found_and_sure"][AFTER - 1])),
-            "ships": shown(lambda of: next((row for row in of if row["ships"]), None)),
-            "enough": shown(lambda of: next((row for row in of if row["enough"]), None)),
-        },
-    )

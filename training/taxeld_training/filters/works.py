@@ -6,7 +6,6 @@ many were found, sure and misleading.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +15,13 @@ from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell
 from taxeld_training.filters.levels import LEVELS, Level
-from taxeld_training.filters.methods import SHIPPED, TouchResult
+from taxeld_training.filters.methods import TABLED, TouchResult
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.statistics import of_count, rounded
 from taxeld_training.objects.setting import OBJECTS
 
 USUAL = ("as assumed=0", "skin=typical", "skin=poor", "sensor mm=2")
 NAMES = {"as assumed=0": "exact", "sensor mm=2": "robot errs by 2 mm"}
-TABLED = replace(SHIPPED, proposal="table")
 SEEDS, QUICK_SEEDS = 40, 2
 
 

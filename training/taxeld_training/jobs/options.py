@@ -38,12 +38,11 @@ class Options:
     out: Path
     memory: Path
     objects: tuple[str, ...] = ()
-    columns: tuple[int, ...] = ()
     layouts: tuple[str, ...] = ("",)  # "": the rings
     quick: bool = False
     workers: int = 2
     dask: str = ""
-    groups: tuple[str, ...] = ()  # samplers by their group, or filters by their proposal
+    groups: tuple[str, ...] = ()  # filters by their proposal
     cells: tuple[str, ...] = ()  # factors and levels of the table of conditions
     until: float = math.inf  # monotonic clock [s]: jobs that have not begun by then are left out
     effort: float = 1.0  # share of each model's own training
@@ -86,9 +85,8 @@ def check(option: str, names: Sequence[str], known: Sequence[str]) -> None:
             raise SetupError(f"{option}: no '{name}' here; there are {', '.join(known)}")
 
 
-def write(options: Options, name: str, rows: Sequence[Row], table: str = "") -> Path:
-    """Rows as the experiment's JSON file, a row a line so that a diff can be read, and a table of
-    them in Markdown beside it; the path of the first.
+def write(options: Options, name: str, rows: Sequence[Row]) -> Path:
+    """Rows as the experiment's JSON file, a row a line so that a diff can be read; its path.
 
     Raises:
         SetupError: there are none, as time ran out or no group has any.
@@ -99,6 +97,4 @@ def write(options: Options, name: str, rows: Sequence[Row], table: str = "") -> 
     path = options.out / f"{name}.json"
     lines = ",\n".join(json.dumps(row) for row in rows)
     path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
-    if table:
-        path.with_suffix(".md").write_text(f"{table}\n", encoding="utf-8")
     return path

@@ -1,8 +1,8 @@
 """What estimates promise, and whether they keep it: `p` and `radius_m` held against the truth.
 
 `p` is the probability that an estimate is *found*. What is *sure* and *misleading* is as in
-`taxeld_hil.integrity`: an estimate that misleads is what satellite navigation calls a loss of
-integrity. Shares of estimates have no interval: those of one trial depend on each other.
+`taxeld_hil.integrity`. Shares of estimates have no interval: those of one trial depend on each
+other.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index
-from taxeld_hil.integrity import Claims, Stanford
+from taxeld_hil.integrity import Claims
 
 BINS = 10
 CONTACTS = (4, 6, 8)  # contacts with shares of their own
@@ -31,12 +31,6 @@ class Promises(Claims):
     def of_object(self) -> Bools:
         """Whether the object is the one that the filter assumes."""
         return np.isfinite(self.error_mm)
-
-    @property
-    def stanford(self) -> Stanford:
-        made = Stanford()
-        made.add(self.p, self.error_mm, self.radius_mm)
-        return made
 
 
 def reliability(p: Floats, right: Bools) -> list[dict[str, Any]]:

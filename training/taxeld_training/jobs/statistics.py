@@ -55,13 +55,6 @@ def of_count(count: int, total: int) -> Interval:
     return float(found.low), float(found.high)
 
 
-def p_paired(a: ArrayLike, b: ArrayLike) -> float:
-    """Probability that values (n,) so different, pair by pair, have one distribution
-    (Wilcoxon)."""
-    gap = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
-    return float(stats.wilcoxon(gap).pvalue) if gap.any() else 1.0
-
-
 def p_share(a: Sequence[bool], b: Sequence[bool]) -> float:
     """Probability that two rules so different on the same trials are obeyed as often (McNemar,
     exact): only trials that obey one of them count."""

@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import joblib
 import numpy as np
@@ -120,17 +119,6 @@ class Posterior:
         if draws.ess >= THIN_ESS:
             return draws
         return self._dense.sample(seen, n, rng, self._bank, weighed)
-
-
-def save(to: Reference, path: Path) -> None:
-    """Write a reference to a file."""
-    joblib.dump(to, path, compress=3)
-
-
-def load(path: Path) -> Reference:
-    """A reference that `save` wrote."""
-    kept: Reference = joblib.load(path)
-    return kept
 
 
 def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Floats:

@@ -1,4 +1,4 @@
-"""Samplers, measured: `taxeld-train evaluate` for samplers, and the candidates of a bundle.
+"""Samplers: the candidates of a bundle, measured, and the proposals of the experiments.
 
-Imports all rooms but `filters`, `charts` only where it draws.
+Imports all rooms but `filters` and `charts`.
 """

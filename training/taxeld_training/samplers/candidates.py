@@ -19,7 +19,6 @@ from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld.proposals.sampler import Sampler
-from taxeld_training.jobs.rows import DISTANCES
 from taxeld_training.jobs.statistics import LEVEL, of_mean, rounded
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
@@ -32,6 +31,8 @@ VARIANTS = variants.density(64), variants.density(16, 48, 2)  # trained side by 
 
 CONTACTS, TRAINING, MEASURING = "contacts", "training", "measuring"
 STAGES = (CONTACTS, TRAINING, quality.BANK_STAGE, quality.EXACT_STAGE, MEASURING)
+
+DISTANCES = "distances"  # of a sampler, reading by reading, for intervals and paired tests
 
 Progress = Callable[[str, float], None]  # of a stage, and the share of it that is done
 

@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taxeld.errors import SetupError
+from taxeld.estimator.bank import Known
 from taxeld.layout import read as layouts
 from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
@@ -74,6 +75,12 @@ def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
     if found is None:
         raise SetupError(f"{setting.object}: no bundle of it is shipped for this skin")
     return found.proposal(name)
+
+
+@lru_cache(maxsize=32)
+def known_of(setting: Setting, name: str, file: str) -> Known:
+    """The object of a setting with a proposal, as `proposal_of` has it."""
+    return Known(model_of(setting), proposal_of(name, setting, file))
 
 
 def files(wanted: Iterable[Wanted], options: Options) -> dict[Wanted, str]:

@@ -14,6 +14,7 @@ from scipy import stats
 
 from taxeld.arrays import Bools, Floats, Index
 from taxeld_hil.integrity import Claims
+from taxeld_training.filters.methods import TouchResult
 from taxeld_training.jobs.promises import calibration_error, reliability
 from taxeld_training.jobs.statistics import share
 
@@ -32,6 +33,17 @@ class Identities(Claims):
     named: Index  # (N, T) number of the object of the estimate
     objects: Floats  # (N, T, K) probabilities of the known objects
     other: Floats  # (N, T) probability of none of them
+
+    @classmethod
+    def of(cls, runs: Sequence[tuple[int, Sequence[TouchResult]]]) -> "Identities":
+        """Runs as (number of the touched object, results of the touches)."""
+        named, p, error_mm, radius_mm, objects = (
+            np.array([[getattr(touch, key) for touch in run] for _, run in runs])
+            for key in ("object", "p", "map_mm", "radius_mm", "objects")
+        )
+        true = np.array([number for number, _ in runs])
+        other = np.array([[touch.hypotheses.other for touch in run] for _, run in runs])
+        return cls(p, radius_mm, error_mm, true, named, objects, other)
 
     def __len__(self) -> int:
         return len(self.true)
@@ -84,24 +96,9 @@ def told_apart(given: Identities, contact: int) -> float:
     return round(float(larger) / (len(known) * len(unknown)), 4)
 
 
-def identity_bins(given: Identities) -> tuple[list[dict[str, Any]], float | None]:
-    """The reliability table of the probability of the object of each estimate, and its calibration
-    error."""
-    bins = reliability(given.of_named.ravel(), given.right.ravel())
-    return bins, calibration_error(bins)
-
-
-def confusion(given: Identities, contact: int) -> list[list[float]]:
-    """For each known object, and last for unknown ones, the shares of runs after a contact that end
-    with each known object as the likeliest, and last with none of them; nan without runs."""
-    at = contact - 1
-    every = np.concatenate([given.objects[:, at], given.other[:, at, None]], axis=1)
-    likeliest, count = every.argmax(axis=1), every.shape[1]
-    lines = [likeliest[given.true == true] for true in [*range(count - 1), UNKNOWN]]
-    return [
-        (np.bincount(line, minlength=count) / (len(line) or np.nan)).round(4).tolist()
-        for line in lines
-    ]
+def identity_error(given: Identities) -> float | None:
+    """The calibration error of the probability of the object of each estimate."""
+    return calibration_error(reliability(given.of_named.ravel(), given.right.ravel()))
 
 
 def cost(several_ms: Floats, one_ms: Floats) -> dict[str, float]:

@@ -1,15 +1,14 @@
-"""`taxeld-train evaluate filter` and `stability`: filters in trials, by method and condition.
+"""`taxeld-train evaluate stability`: few filters over the whole table of conditions, after the last
+contact: where they fail, and whether they report it.
 
-`filter` has a row for each contact: of all methods, where all is as they assume (the paper's Fig. 3
-and beyond), or under the conditions that `--cells` names. `stability` has the last contact alone,
-of few methods over the whole table of conditions: where filters fail, and whether they report it.
-The grid filter is the limit: what it does not find, no filter of its likelihood finds.
+The grid filter, which runs where `--groups` names it, is the limit: what it does not find, no
+filter of its likelihood finds.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -18,103 +17,42 @@ from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell, Results
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
-from taxeld_training.filters.methods import SHIPPED, Method
+from taxeld_training.filters.methods import SHIPPED, TABLED, Method
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import GRID, Row, trial_table
+from taxeld_training.jobs.rows import GRID
 from taxeld_training.jobs.statistics import of_median, p_share, quantiles, rounded, share
-from taxeld_training.objects.setting import OBJECTS, Setting
+from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
-from taxeld_training.samplers.trained import DENSITY, PAPER
+from taxeld_training.samplers.trained import DENSITY
 
-Draw: TypeAlias = Callable[[Sequence[Row], Path], None]
 FOUND_SHARE = 0.1  # error under which an object is found, as a share of its mean diameter
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """Which trials are run, if nothing else is asked for."""
-
-    methods: tuple[Method, ...]
-    objects: tuple[str, ...]
-    contacts: tuple[int, ...]  # contacts with a row of their own, counted from 1
-    seeds: int  # trials of a cell
-    quick_seeds: int  # trials of a cell with --quick
-
-
-FILTER = Experiment(
-    (
-        *(
-            Method(proposal, injection, 100)
-            for proposal in (DENSITY, "table", "manifold", "projection")
-            for injection in ("mixture", "paper")
-        ),
-        Method(PAPER, "paper", 100),  # sampler and rule of the paper: its Fig. 3
-        SHIPPED,
-        Method(GRID, touches=(4, 6, 8)),  # a look after each touch would take minutes a trial
-    ),
-    OBJECTS,
-    tuple(range(1, TOUCHES + 1)),
-    seeds=200,
-    quick_seeds=6,
+METHODS = (
+    SHIPPED,
+    TABLED,
+    Method(DENSITY, "paper", 100),
+    Method("projection", "paper", 100),
 )
-STABILITY = Experiment(
-    (
-        SHIPPED,
-        replace(SHIPPED, proposal="table"),
-        Method(DENSITY, "paper", 100),
-        Method("projection", "paper", 100),
-    ),
-    ("003_cracker_box", "025_mug"),
-    (TOUCHES,),
-    seeds=100,
-    quick_seeds=3,
-)
-
-
-def filter_rows(options: Options) -> list[Path]:
-    """Rows, table and picture of `evaluate filter`.
-
-    Raises:
-        SetupError: no such object, group or cell.
-    """
-    from taxeld_training.charts import trial_charts  # noqa: PLC0415  # matplotlib is not needed to train
-
-    objects = (options.objects or FILTER.objects)[: 2 if options.quick else None]
-    table = levels.asked_for(options, LEVELS, LEVELS[:1])
-    found = rows(FILTER, table, objects, options)
-    return _written(options, "filter", found, trial_charts.by_contact)
+LIMIT = Method(GRID, touches=(TOUCHES,))  # a look after each touch would take minutes a trial
+OBJECTS = ("003_cracker_box", "025_mug")
+SEEDS, QUICK_SEEDS = 100, 3
 
 
 def stability_rows(options: Options) -> list[Path]:
-    """Rows, table and map of `evaluate stability`.
+    """Rows, table and map of `evaluate stability`: a row an object, level and method.
 
     Raises:
         SetupError: no such object, group or cell.
     """
-    from taxeld_training.charts import trial_charts  # noqa: PLC0415
+    from taxeld_training.charts import map_chart  # noqa: PLC0415  # matplotlib is not needed to train
 
     usual = [level for level in LEVELS if level.factor not in BESIDE_THE_MAP]
     table = levels.asked_for(options, LEVELS, usual)
-    found = rows(STABILITY, table, options.objects or STABILITY.objects, options)
-    return _written(options, "stability", found, trial_charts.failures)
-
-
-def _written(options: Options, name: str, found: list[dict[str, Any]], draw: Draw) -> list[Path]:
-    """The files of an experiment. Chosen cells do not take the place of the whole table's rows."""
-    name = f"{name}_cells" if options.cells else name
-    data = write(options, name, found, trial_table(found) if found else "")
-    draw(found, data.with_suffix(".png"))
-    return [data, data.with_suffix(".png")]
-
-
-def rows(
-    experiment: Experiment, table: Sequence[Level], objects: Sequence[str], options: Options
-) -> list[dict[str, Any]]:
-    """A row an object, level, method and contact."""
+    objects = options.objects or OBJECTS
     for name in objects:
         meshes.find(name)
-    methods = cells.chosen(experiment.methods, options.groups)
-    seeds = options.seeds or (experiment.quick_seeds if options.quick else experiment.seeds)
+    named = cells.chosen([*METHODS, LIMIT], options.groups)
+    methods = named if options.groups else METHODS
+    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     wanted = dict.fromkeys(  # methods may differ in nothing but particles, which a level may set
         (level, cell_of(level, placed(method, setting, level), setting))
         for level in table
@@ -123,15 +61,17 @@ def rows(
         for method in methods
         if not (level.lengths and trained.is_learned(method.proposal, setting))
     )
-    found = cells.run([(cell, round(level.seeds * seeds)) for level, cell in wanted], options)
-    return [
-        _row(level, cell, contact, found[cell], found.get(shipped))
+    done = cells.run([(cell, round(level.seeds * seeds)) for level, cell in wanted], options)
+    found = [
+        _row(level, cell, done[cell], done.get(shipped))
         for level, cell in wanted
-        if cell in found
+        if cell in done
         for shipped in [cell_of(level, placed(SHIPPED, cell.setting, level), cell.setting)]
-        for contact in experiment.contacts
-        if contact in (cell.method.touches or experiment.contacts)
     ]
+    # chosen cells do not take the place of the whole table's rows
+    data = write(options, "stability_cells" if options.cells else "stability", found)
+    map_chart.draw(found, data.with_suffix(".png"))
+    return [data, data.with_suffix(".png")]
 
 
 def placed(method: Method, setting: Setting, level: Level) -> Method:
@@ -148,10 +88,8 @@ def cell_of(level: Level, method: Method, setting: Setting) -> Cell:
     return Cell(setting, method, level.conditions, level.touched)
 
 
-def _row(
-    level: Level, cell: Cell, contact: int, results: Results, shipped: Results | None
-) -> dict[str, Any]:
-    """The row of a cell and contact; `shipped` has the trials of what ships under the same
+def _row(level: Level, cell: Cell, results: Results, shipped: Results | None) -> dict[str, Any]:
+    """The row of a cell; `shipped` has the trials of what ships under the same
     conditions. Errors of other lengths are in hundredths of the object's mean diameter."""
     method = cell.method
     of_lengths: dict[str, float] = {}
@@ -166,7 +104,7 @@ def _row(
             ]
             for seed, trial in results.items()
         }
-    last = [trial[contact - 1] for trial in results.values()]
+    last = [trial[TOUCHES - 1] for trial in results.values()]
     return {
         "object": cell.setting.object,
         "factor": level.factor,
@@ -174,11 +112,11 @@ def _row(
         "proposal": method.proposal,
         "injection": method.injection,
         "particles": method.particles,
-        "contact": contact,
+        "contact": TOUCHES,
         **of_lengths,
         **errors([result.map_mm for result in last]),
-        **shares(results, contact),
-        "p_shipped": p_shipped(results, shipped, contact),
+        **shares(results, TOUCHES),
+        "p_shipped": p_shipped(results, shipped, TOUCHES),
         "particles_max": method.particles_max or method.particles,
         "particles_mean": round(float(np.mean([result.particles for result in last])), 1),
         "seeds": len(results),
