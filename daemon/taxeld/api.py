@@ -26,7 +26,7 @@ from taxeld.model.observation import Activation, ObservationModel
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import Mode, PoseMetric
 from taxeld.pipeline.freshness import Why
-from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Outcome
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.bundle import load as load_bundle
 from taxeld.skin.skin import Skin

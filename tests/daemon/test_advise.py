@@ -16,9 +16,9 @@ from taxeld.model import se2
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
+from taxeld.service.clock import Ready
+from taxeld.service.kept import MEMORY_S
 from taxeld.service.loop import Daemon
-from taxeld.service.publisher import MEMORY_S
-from taxeld.service.ticker import Ready
 from taxeld.stream import client
 from tests.rig.commands import printed, refused
 

@@ -9,8 +9,8 @@ from taxeld.config.tables import Config, FilterConfig, SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.response import GRID, Inverse, response
-from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.poses import PoseTrack
+from taxeld.pipeline.stage import calibrated
 from taxeld.skin.skin import Skin
 from tests.daemon.test_calibration_file import of
 from tests.rig.simulated_skin import SimulatedSkin

@@ -10,7 +10,7 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Estimate, Hypotheses, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.model.observation import ObservationModel
-from taxeld.pipeline.freshness import CURES, LEAST_P, Freshness, Why
+from taxeld.pipeline.freshness import CURES, LEAST_P, Freshness, LinkInputs, Why
 from taxeld.proposals.analytic import Projection
 
 STALE_S = 0.5
@@ -23,15 +23,15 @@ def estimate(disc_model: ObservationModel) -> Estimate:
     return replace(first, status=Status.AMBIGUOUS, contacts=1, p=0.5)
 
 
-def used(centre_m: tuple[float, float] = (0.0, 0.0), half_width_m: float = np.inf) -> Freshness:
+def used(
+    centre_m: tuple[float, float] = (0.0, 0.0), half_width_m: float = np.inf, last: Why = Why.VALID
+) -> Freshness:
     """Of an object that reaches 0.1 m, after a scan that was used."""
-    inputs = Freshness(STALE_S, centre_m, half_width_m, reach_m=0.1)
-    inputs.links[0].last = Why.VALID
-    return inputs
+    return Freshness([LinkInputs(last)], STALE_S, centre_m, half_width_m, reach_m=0.1)
 
 
 def test_what_became_of_the_last_scan_decides_until_the_next(estimate: Estimate) -> None:
-    inputs = Freshness(STALE_S)
+    inputs = used(last=Why.STARTING)
     seen = [(inputs.judged(estimate).status.name, inputs.why(estimate).name)]
     for inputs.links[0].last in (
         Why.VALID,
@@ -52,13 +52,12 @@ def test_what_became_of_the_last_scan_decides_until_the_next(estimate: Estimate)
 
 
 def test_without_a_scan_for_too_long_everything_is_stale(estimate: Estimate) -> None:
-    inputs = Freshness(STALE_S)
+    inputs = used(last=Why.STARTING)
     inputs.came(10.0)
     assert inputs.judged(estimate, 10.5).status is Status.STARTING
     assert inputs.judged(estimate, 10.6).status is Status.STALE
     assert inputs.why(estimate, 10.6) is Why.NO_SCAN
     inputs.links[0].last = Why.VALID
-    assert inputs.is_silent(10.6)
     assert inputs.judged(estimate, 10.6).status is Status.STALE
     assert inputs.judged(estimate).status is Status.AMBIGUOUS  # in a replay time does not pass
     inputs.came(10.6)

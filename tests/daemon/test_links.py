@@ -135,8 +135,8 @@ def test_a_silent_link_leaves_the_other_working(open_links: Callable[[bool], Two
     assert health["links"]["link2"]["why"] == Why.NO_SCAN
     assert rig.daemon.pipeline.freshness.of_links(now_s)[0] is Why.VALID
     rig.off.add(0)
-    rig.until(lambda: rig.daemon.pipeline.freshness.is_silent(time.monotonic()))
-    assert publisher._estimate(time.monotonic()).status.name == "STALE"
+    rig.until(lambda: rig.whys == [Why.NO_SCAN, Why.NO_SCAN])
+    assert rig.daemon.pipeline.estimate_at(time.monotonic()).status.name == "STALE"
 
 
 def test_two_links_of_the_same_modules_are_not_on_one_bus(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -19,7 +20,6 @@ from taxeld.proposals import bundle, choice
 from taxeld.proposals.analytic import Projection
 from taxeld.service import log
 from taxeld.service.notices import Notices
-from taxeld.skin.channels import Wiring
 from taxeld.stream import client
 from taxeld_protocol.modules import wired
 from tests.rig.clocks import until
@@ -68,8 +68,8 @@ def estimate(disc_model: ObservationModel) -> Estimate:
     return replace(first, status=Status.SEARCHING)
 
 
-def notices() -> Notices:
-    return Notices(["box"], "table", [Path("box")])
+def notices(pipeline: Pipeline | None = None) -> Notices:
+    return Notices(SimpleNamespace(pipeline=pipeline), ["box"])  # type: ignore[arg-type]
 
 
 def test_a_change_of_status_is_logged_once(
@@ -106,19 +106,20 @@ def test_a_status_that_flaps_is_logged_ever_less_often_and_the_last_one_is_logge
     assert len(logged()) == 1, "at once, once it was calm"
 
 
-def told_of(told: Notices, wiring: Wiring, *, fault: str = "", match: bool = True) -> None:
+def told_of(told: Notices, fault: str = "") -> None:
     """Eight looks, a second each."""
     for _ in range(8):
-        told.inputs(fault, wiring, match=match)
+        told.inputs(fault, 0.0)
 
 
 def test_what_is_wrong_with_poses_is_logged_once_and_so_is_its_end(
     logged: Callable[[], list[str]],
 ) -> None:
-    told, wiring = notices(), Wiring(layouts.load(SPEC))
-    told_of(told, wiring, fault="no pose comes")
-    assert logged() == ["WARNING: sensor_pose: no pose comes"]
-    told_of(told, wiring)
+    pipeline, _ = hub_of(8)
+    told = notices(pipeline)
+    told_of(told, "no pose comes")
+    assert "WARNING: sensor_pose: no pose comes" in logged()
+    told_of(told)
     assert logged() == ["INFO: sensor_pose: poses come as they should"]
 
 
@@ -143,17 +144,17 @@ def test_estimates_are_valid_only_where_the_hubs_have_the_modules_of_the_layout(
         touched = replace(pipeline.estimate, contacts=1, status=Status.AMBIGUOUS, p=0.5)
         why = pipeline.freshness.why(touched)
         assert why is (Why.VALID if valid else Why.MODULES_MISSING)
-        assert pipeline.freshness.is_whole is valid
+        assert pipeline.freshness.links[0].is_whole is valid
     assert pipeline.health()["missing_modules"] == [6, 7, 8]
 
 
 def test_modules_that_are_missing_may_be_allowed_for() -> None:
     pipeline, skin = hub_of(7)
-    assert not pipeline.freshness.is_whole
+    assert not pipeline.freshness.links[0].is_whole
     allowed = replace(pipeline.config.skin, missing_modules=1)
     pipeline.stages[0].config = replace(pipeline.config, skin=allowed)
     list(pipeline.advance([skin.scan()], skin.scan().t))
-    assert pipeline.freshness.is_whole
+    assert pipeline.freshness.links[0].is_whole
 
 
 def test_a_hub_that_lacks_modules_of_the_layout_is_logged(
@@ -161,7 +162,7 @@ def test_a_hub_that_lacks_modules_of_the_layout_is_logged(
 ) -> None:
     pipeline, _ = hub_of(5)
     logged()
-    told_of(notices(), pipeline.skin.wiring, match=False)
+    told_of(notices(pipeline))
     assert logged() == [
         "INFO: hub 1 sends: 5 modules, 5 of them in the layout",
         "WARNING: skin.layout: 3 of its 8 modules are on no hub (SUI 6, 7, 8); estimates are not "

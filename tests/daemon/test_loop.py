@@ -18,13 +18,14 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import Why
-from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Outcome
 from taxeld.proposals.samples import Degraded
 from taxeld.service import loop
+from taxeld.service.clock import Ready
 from taxeld.service.inputs import GATHER_S, GATHERS
 from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
-from taxeld.service.ticker import Ready
+from taxeld.service.publisher import LAST
 from taxeld.stream import messages
 from taxeld_protocol.decoder import Scan
 from tests.rig.clocks import until
@@ -157,7 +158,7 @@ def test_each_scan_that_is_used_has_its_estimate_however_many_come_at_once(
     batches = [*([scan] for scan in scans[:25]), scans[25:32], [], scans[32:]]
     now = time.monotonic()
     for k, batch in enumerate(batches):
-        monkeypatch.setattr(daemon.inputs.source, "poll", lambda *_, batch=batch, **__: batch)
+        monkeypatch.setattr(daemon.inputs.sources[0], "poll", lambda *_, batch=batch, **__: batch)
         arrived = batch[-1].t if batch else arrived
         monkeypatch.setattr(time, "time", lambda arrived=arrived: arrived)
         daemon.tick(now + 0.001 * k)
@@ -181,7 +182,7 @@ class Touches:
         self._skin.t = time.time() - 9.0
         self._made = 0
         monkeypatch.setattr(time, "time", lambda: self._skin.t)
-        monkeypatch.setattr(daemon.inputs.source, "poll", lambda *_: self.scans)
+        monkeypatch.setattr(daemon.inputs.sources[0], "poll", lambda *_: self.scans)
 
     def next(self) -> Scan:
         """Another scan."""
@@ -226,18 +227,17 @@ def test_a_pass_without_arrivals_takes_one_second_opinion_and_sends_what_it_bett
             assert again[0]["lat_us"]["filter"] > 0.0
         assert counters.thoughts == bettered, "one for a scan"
     assert bettered > 3
-    assert daemon.publisher.latencies.scans == daemon.pipeline.skin.counters.scans, (
-        "each scan counts once"
-    )
+    assert daemon.publisher.scans == daemon.pipeline.skin.counters.scans, "each scan counts once"
 
 
 def test_the_status_line_has_p_where_the_estimate_is_valid(daemon: Daemon) -> None:
     now, pipeline = time.monotonic(), daemon.pipeline
-    pipeline.estimate = replace(pipeline.estimate, contacts=2, p=0.5)
+    believed = pipeline.estimator
+    believed.estimate = replace(believed.estimate, contacts=2, p=0.5)
     daemon.tick(now)
     assert daemon.publisher.status_line(now) == "starting, not valid, contacts 2, overruns 0"
     pipeline.freshness.links[0].last = Why.VALID
-    pipeline.estimate = replace(pipeline.estimate, status=Status.CONVERGED, p=0.9962)
+    believed.estimate = replace(believed.estimate, status=Status.CONVERGED, p=0.9962)
     daemon.tick(now)
     assert daemon.publisher.status_line(now) == "converged, p 99.6%, contacts 2, overruns 0"
 
@@ -278,7 +278,7 @@ def test_all_scans_that_have_come_are_worked_on_to_their_end_before_the_next_wai
         return Ready(device=bool(touches.scans))
 
     monkeypatch.setattr(loop, "wait", wait)
-    monkeypatch.setattr(daemon.inputs.source, "gather", lambda: 1)
+    monkeypatch.setattr(daemon.inputs.sources[0], "gather", lambda: 1)
     daemon._loop(Notifier({}), lambda: None)
     assert len(taken) == 3 + sum(due)
 
@@ -307,8 +307,10 @@ def test_the_frames_of_a_scan_gather_and_are_taken_by_one_pass(
 
     monkeypatch.setattr(loop, "wait", wait)
     monkeypatch.setattr(time, "sleep", slept.append)
-    monkeypatch.setattr(daemon.inputs.source, "gather", gather)
-    monkeypatch.setattr(daemon.inputs.source, "poll", lambda *_: polled.append(len(found)) or [])
+    monkeypatch.setattr(daemon.inputs.sources[0], "gather", gather)
+    monkeypatch.setattr(
+        daemon.inputs.sources[0], "poll", lambda *_: polled.append(len(found)) or []
+    )
     daemon._loop(Notifier({}), lambda: None)
     assert polled == [looks]
     assert slept[: looks - 1] == [GATHER_S] * (looks - 1)
@@ -468,3 +470,13 @@ def test_taxels_say_where_the_sensor_was_or_that_nobody_knows() -> None:
 def test_an_endpoint_without_its_directory_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match=r"publish\.endpoints: .* does not exist"):
         Daemon(parse(settings(tmp_path / "missing")))
+
+
+def test_percentiles_are_of_the_last_scans_and_the_longest_is_since_start(daemon: Daemon) -> None:
+    publisher, zeros = daemon.publisher, {"p50": 0.0, "p99": 0.0, "max": 0.0}
+    assert publisher.percentiles() == zeros
+    values = np.random.default_rng(0).gamma(2.0, 300.0, 2 * LAST + 7)
+    for us in values:
+        publisher._took(us)
+    p50, p99 = np.percentile(values[-LAST:], (50, 99))
+    assert publisher.percentiles() == {"p50": p50, "p99": p99, "max": values.max()}

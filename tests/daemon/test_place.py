@@ -12,8 +12,7 @@ from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.symmetry import add_m
 from taxeld.pipeline.freshness import Why
-from taxeld.pipeline.outcome import Outcome
-from taxeld.pipeline.pipeline import Pipeline
+from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.pipeline.poses import EXTRAPOLATE_S
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle

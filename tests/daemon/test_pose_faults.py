@@ -2,13 +2,13 @@
 
 import itertools
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import Any
 
 import pytest
 
 from taxeld.commands.status import lines
-from taxeld.pipeline.pose_watch import PoseWatch
+from taxeld.service.inputs import PoseWatch
+from taxeld.stream.link import PeerLine
 
 from .test_stream_document import documented
 
@@ -23,8 +23,8 @@ def right(now: float) -> float:
 
 
 def look(watch: PoseWatch, now: float, **line: Any) -> None:
-    usual = {"malformed": 0, "reason": "", "topics": [], "connected": True, "refused": False}
-    watch.look(now, **(usual | line))
+    is_heard = line.pop("is_heard", True)
+    watch.look(now, PeerLine(**{"connected": True} | line), is_heard=is_heard)
 
 
 def watched(told: Told, rate_hz: float = 100.0, late_s: float = 0.0) -> PoseWatch:
@@ -122,7 +122,11 @@ def test_a_clock_that_was_set_is_no_fault_of_the_robot() -> None:
 def test_status_has_how_the_poses_come_and_what_is_wrong() -> None:
     watch = watched(lambda now: now - 4.2)
     health = documented("/taxeld/health")[1]
-    health["inputs"] |= {f"poses_{name}": value for name, value in asdict(watch.figures).items()}
+    health["inputs"] |= {
+        "poses_rate_hz": watch.rate_hz,
+        "poses_age_s": watch.age_s,
+        "poses_offset_s": watch.offset_s,
+    }
     answer: dict[str, Any] = {"estimate": documented("/taxeld/estimate")[1], "health": health}
 
     def rows() -> dict[str, str]:

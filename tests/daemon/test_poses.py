@@ -113,7 +113,7 @@ def test_in_motion_a_place_is_uncertain_by_the_way_to_the_nearest_pose(
     for each in times:
         track.add(each, speed * (each - 10.0), 0.0, turning * (each - 10.0))
     way = abs(speed) + 0.04 * abs(turning)
-    assert track.sd_m(t) == pytest.approx(way * min(abs(t - each) for each in times), abs=1e-6)
+    assert track.sd_m(t, 0.0) == pytest.approx(way * min(abs(t - each) for each in times), abs=1e-6)
 
 
 @given(st.floats(0.25, 0.35), st.floats(0.2, 0.4))
@@ -126,7 +126,7 @@ def test_a_robot_that_turns_back_between_two_poses_is_within_two_sd(back: float,
         track.add(0.1 * k, x(0.1 * k), 0.0, 0.0)
     pose = track.at(t)
     assert pose is not None
-    assert abs(pose[0] - x(t)) <= 2.0 * track.sd_m(t) + 1e-9
+    assert abs(pose[0] - x(t)) <= 2.0 * track.sd_m(t, 0.0) + 1e-9
 
 
 def test_a_scan_that_may_be_late_counts_the_motion_before_it() -> None:
@@ -141,7 +141,7 @@ def test_a_pose_that_jumped_is_no_speed() -> None:
     track = PoseTrack()
     for t, x in ((1.00, 0.3), (1.01, 2.3), (1.02, 0.3)):
         track.add(t, x, 0.0, 0.0)
-    assert track.sd_m(1.016) == 0.0
+    assert track.sd_m(1.016, 0.0) == 0.0
 
 
 @given(st.lists(st.floats(0.0, 0.2), min_size=30, max_size=30))

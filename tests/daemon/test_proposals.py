@@ -8,13 +8,12 @@ import pytest
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
-from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
-from taxeld.pipeline.warm_up import warm_up
+from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.analytic import Manifold, Projection, Table, check_contacts
 from taxeld.proposals.bundle import Bundle
@@ -189,8 +188,8 @@ def test_a_warm_up_leaves_no_trace_in_the_belief(mug: Bundle) -> None:
     found = []
     for warm in (False, True):
         samples = choice.samples([mug], FilterConfig())
-        subject = Estimator(mug.model, samples.of(0), FilterConfig())
+        pipeline = Pipeline(config(), [mug.model.layout], [mug.model], samples)
         if warm:
-            warm_up(config(), [mug.model], samples)
-        found.append(subject.rule.belief.pose.tobytes())
+            pipeline.warm_up()
+        found.append((pipeline.estimator.rule.belief.pose.tobytes(), pipeline.health()))
     assert found[0] == found[1]

@@ -110,7 +110,7 @@ def test_who_ends_a_daemon_ends_it_in_order(daemon: Running, number: int) -> Non
 def test_usr1_says_where_the_daemon_is_and_what_it_knows(daemon: Running) -> None:
     daemon.send(signal.SIGUSR1)
     estimate, health = daemon.wait_for("estimate: "), daemon.wait_for("health: ")
-    assert any("service/loop.py" in line or "service/ticker.py" in line for line in daemon.log())
+    assert any("service/loop.py" in line or "service/clock.py" in line for line in daemon.log())
     assert json.loads(health.removeprefix("health: "))["uptime_s"] > 0.0
     assert "map" in json.loads(estimate.removeprefix("estimate: "))
 
@@ -165,7 +165,7 @@ def test_a_standard_stream_that_is_closed_leads_nowhere(tmp_path: Path, redirect
 @pytest.mark.parametrize("number", [signal.SIGXCPU, signal.SIGABRT])
 def test_a_loop_that_does_not_pause_says_where_it_is_and_ends(daemon: Running, number: int) -> None:
     assert daemon.ends_by(number) == -number
-    assert any("service/ticker.py" in line or "service/loop.py" in line for line in daemon.log())
+    assert any("service/clock.py" in line or "service/loop.py" in line for line in daemon.log())
 
 
 @pytest.mark.parametrize(

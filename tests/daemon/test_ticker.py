@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from taxeld.service.ticker import IDLE_S, Ready, Ticker, wait
+from taxeld.service.clock import IDLE_S, Ready, Ticker, wait
 
 SOON_S = 20.0  # a wait that an input ends is over long before
 

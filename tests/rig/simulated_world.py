@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld.service.ticker import Ready
+from taxeld.service.clock import Ready
 from taxeld.source.device import AwayError, LostError
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.memory import MemoryDevice, MemoryLine
@@ -170,7 +170,7 @@ class SimulatedDevice(MemoryDevice):
 
 
 def simulated_wait(world: World, devices: Sequence[Any], door: Any, until_s: float) -> Ready:
-    """`ticker.wait` on the fake clock, with one link."""
+    """`clock.wait` on the fake clock, with one link."""
     (device,) = devices
 
     def ready() -> Ready:

@@ -24,14 +24,11 @@ from taxeld.commands import replay
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.pipeline.freshness import Why
-from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Outcome
 from taxeld.pipeline.poses import PoseTrack
-from taxeld.service import health
-from taxeld.service.clock import WallClock
-from taxeld.service.inputs import Inputs
+from taxeld.service.clock import Ticker, WallClock
 from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
-from taxeld.service.ticker import Ticker
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages, pair
@@ -118,7 +115,7 @@ class Run:
     @contextlib.contextmanager
     def _patched(self) -> Iterator[None]:
         """Clocks, threads, processes and disk, for as long as the daemon lives."""
-        world, pairs, give, pose = self.world, pair.open_pair, Link._give, Inputs.on_pose
+        world, pairs, give, pose = self.world, pair.open_pair, Link._give, Daemon.on_pose
 
         class File(FileIO):
             def write(self, data: Any) -> int:
@@ -157,9 +154,9 @@ class Run:
             "taxeld.service.doorkeeper.subprocess": processes,
             "taxeld.stream.pair.open_pair": open_pair,
             "taxeld.stream.link.Link._give": given,
-            "taxeld.service.inputs.Inputs.on_pose": posed,
+            "taxeld.service.loop.Daemon.on_pose": posed,
             "taxeld.source.recorder.threading": world.writers,
-            "taxeld.service.kept_file.threading": world.writers,
+            "taxeld.service.kept.threading": world.writers,
             "taxeld.source.recorder.FileIO": File,
             "taxeld.source.sources.open_device": lambda *_: SimulatedDevice(world),
         }
@@ -202,7 +199,7 @@ class Run:
         self._law(in_order, "a scan that was used has no estimate, or not in the order of scans")
         numbers = [e["seq"] for e in self._sent]
         self._law(numbers == list(range(1, len(numbers) + 1)), "estimates are not numbered in turn")
-        counted = health.of(daemon, 0, self.world.now, self.world.unix())
+        counted = daemon.health(self.world.now, self.world.unix())
         self._law(counted["estimator"]["scans"] == len(used), "a scan has no outcome")
         self.world.rig.ledger.poses_heard = self._poses
         for law in laws(self.world.rig.ledger, counted, line=False):

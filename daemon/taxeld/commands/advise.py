@@ -16,11 +16,11 @@ import numpy as np
 from taxeld.advice.advice import Advice, Advisor, Approach
 from taxeld.advice.lines import Reach
 from taxeld.commands import running
-from taxeld.commands.replay import pipeline_of
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.history import Arrays, scans_of
 from taxeld.model import se2
+from taxeld.service.prepare import prepared
 
 LOOK_S = 0.2  # pause between two questions
 OTHER = "the daemon has another scene, skin or filter than this configuration: name the one it runs"
@@ -33,9 +33,10 @@ class Adviser:
         """Raises SetupError where a file that the configuration names cannot be used."""
         if not config.scene.names:
             raise SetupError("scene.bundle: is empty; advice is on an object")
-        pipeline = pipeline_of(config, time.time())
+        pipeline = prepared(config, time.time()).pipeline
         self._estimator = pipeline.estimator
-        self._mounts = [stage.poses.mount for stage in pipeline.stages]
+        calibrations = [stage.calibration for stage in pipeline.stages]
+        self._mounts = [None if one is None else one.mount for one in calibrations]
         self._advisor = Advisor(self._estimator, reach)
 
     def advise(self, memory: Arrays) -> Advice:

@@ -16,11 +16,10 @@ from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.freshness import Why
-from taxeld.pipeline.outcome import Outcome
-from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import bundle, choice
-from taxeld.service import calibration_file
+from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.proposals import bundle
 from taxeld.service.clock import is_step
+from taxeld.service.prepare import prepared
 from taxeld.skin.patches import Patches
 from taxeld.source import module_order, session
 from taxeld.source.buses import Bus, joint
@@ -144,27 +143,8 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
             f"{error}; a session does not hold its layout and its bundle: name them in "
             f"{directory / session.CONFIG}, by whole paths, or in another file with --config"
         ) from None
-    begun_s = session.begun(directory) if any(one.skin.calibration for one in config.each) else 0.0
-    return pipeline_of(config, begun_s, recorded=True)
-
-
-def pipeline_of(config: Config, now_s: float, *, recorded: bool = False) -> Pipeline:
-    """The pipeline of a configuration, which takes the bundle's first choice for `auto`, whatever
-    it costs here, and places each scan between two known poses. `now_s`, `recorded`: for the age of
-    calibrations.
-
-    Raises:
-        SetupError: a file named by the configuration cannot be used.
-    """
-    skins = [layouts.load(one.skin.layout) for one in config.each]
-    calibration = [
-        calibration_file.load(one.skin, layout, now_s, recorded=recorded)
-        for one, layout in zip(config.each, skins, strict=True)
-    ]
-    bundles = bundle.load_all(config.scene, skins, config.skin.full_scale_depth_m)
-    config = bundle.sized(config, [one.manifest for one in bundles])
-    models, samples = [one.model for one in bundles], choice.samples(bundles, config.filter)
-    return Pipeline(config, skins, models, samples, calibration=calibration, extrapolate_s=0.0)
+    begun = session.begun(directory) if any(one.skin.calibration for one in config.each) else 0.0
+    return prepared(config, begun, recorded=True).pipeline
 
 
 def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
@@ -205,7 +185,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
         elif isinstance(of, int) and not isinstance(came, Item):
             yield from pipeline.advance((), now[1])
             pipeline.stages[of].poses.add(*came)
-    yield from pipeline.flush()
+    yield from pipeline.advance((), math.inf)
 
 
 def _place(directory: Path, config: Config, link: int) -> Path:

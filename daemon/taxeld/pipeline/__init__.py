@@ -1,5 +1,4 @@
-"""From scans and sensor poses to estimates, in one pure object; whether an estimate is valid; and
-whether touches agree with the skin's calibration.
+"""From scans and sensor poses to estimates, in one pure object; and whether an estimate is valid.
 
 The daemon, the replay and the harness run this same code. Its clock, if any, is given to it.
 """

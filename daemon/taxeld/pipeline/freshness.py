@@ -4,7 +4,7 @@ The estimator judges its belief; this module judges the inputs, and where they s
 the status. Both are decided nowhere else.
 """
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -56,27 +56,30 @@ class LinkInputs:
     is_whole: bool = True  # the hubs have the modules that the layout has
     came_s: float = 0.0  # monotonic time
 
+    def why(self, now_s: float | None, stale_s: float) -> Why:
+        """As in `Freshness.of_links`; `stale_s`: age [s] beyond which the scan is stale."""
+        if now_s is not None and now_s - self.came_s > stale_s:
+            return Why.NO_SCAN
+        is_missing = self.last is Why.VALID and not self.is_whole
+        return Why.MODULES_MISSING if is_missing else self.last
+
 
 class Freshness:
-    """What became of the last scan of each link, and its age.
-
-    An estimate is of use while one link works: a link that does not only leaves its own touches
-    out.
-    """
+    """Judges estimates by their inputs. An estimate is of use while one link works: a link that
+    does not only leaves its own touches out."""
 
     def __init__(
         self,
+        links: Sequence[LinkInputs],
         stale_s: float,
-        centre_m: tuple[float, float] = (0.0, 0.0),
-        half_width_m: float = math.inf,
-        reach_m: float = math.inf,
-        links: int = 1,
+        centre_m: tuple[float, float],
+        half_width_m: float,
+        reach_m: float,
     ) -> None:
         """`stale_s`: age of the last scan [s] beyond which the inputs are stale. An object may be
         `half_width_m` from `centre_m` along x and y, and is felt up to `reach_m` from the link's
         axis."""
-        self.links = [LinkInputs() for _ in range(links)]
-        self._stale_s = stale_s
+        self.links, self._stale_s = links, stale_s
         self._centre_m, self._half_width_m, self._reach_m = centre_m, half_width_m, reach_m
 
     def came(self, now_s: float, link: int | None = None) -> None:
@@ -84,40 +87,26 @@ class Freshness:
         for each in self.links if link is None else [self.links[link]]:
             each.came_s = now_s
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether no link lacks modules."""
-        return all(each.is_whole for each in self.links)
-
-    def is_silent(self, now_s: float) -> bool:
-        """Whether no scan has come for too long, on any link."""
-        return all(now_s - each.came_s > self._stale_s for each in self.links)
-
     def of_links(self, now_s: float | None = None) -> list[Why]:
-        """For each link, why its scans are of no use, VALID where they are; `now_s` as in
-        `judged`."""
-        return [
-            Why.MODULES_MISSING if why is Why.VALID and not each.is_whole else why
-            for why, each in zip(self._inputs(now_s), self.links, strict=True)
-        ]
+        """For each link, why its scans are of no use, VALID where they are: with the monotonic time
+        `now_s` also by the age of the last one."""
+        return [each.why(now_s, self._stale_s) for each in self.links]
 
     def judged(self, estimate: Estimate, now_s: float | None = None) -> Estimate:
-        """The estimate with the status that its inputs allow; with `now_s`, also by their age."""
+        """The estimate with the status that its inputs allow; `now_s` as in `of_links`."""
         why = self._of_inputs(now_s)
-        stopped = Status.STARTING if why is Why.STARTING else Status.STALE
-        if why is Why.VALID:
+        if why in (Why.VALID, Why.MODULES_MISSING):
             return estimate
+        stopped = Status.STARTING if why is Why.STARTING else Status.STALE
         return replace(estimate, status=stopped)
 
     def why(self, estimate: Estimate, now_s: float | None = None) -> Why:
         """Why a subscriber may not use the last estimate, VALID where it may; `now_s` as above."""
-        inputs = self._of_inputs(now_s)
-        if inputs is not Why.VALID:
-            return inputs
         places = np.array([estimate.map, estimate.mean])[:, :2]
         off_m = np.abs(places - self._centre_m).max()
+        inputs = self._of_inputs(now_s)
         holds = {
-            Why.MODULES_MISSING: Why.VALID not in self.of_links(now_s),
+            inputs: inputs is not Why.VALID,
             Why.NO_OBJECT: not estimate.objects,
             Why.BLIND: estimate.status is Status.BLIND,
             Why.INCONSISTENT: estimate.status is Status.INCONSISTENT,
@@ -141,12 +130,5 @@ class Freshness:
 
     def _of_inputs(self, now_s: float | None) -> Why:
         """VALID where a link works, else the reason of the link that is nearest to it."""
-        whys = self._inputs(now_s)
+        whys = self.of_links(now_s)
         return Why.VALID if Why.VALID in whys else max(whys)
-
-    def _inputs(self, now_s: float | None) -> list[Why]:
-        is_silent = [now_s is not None and now_s - e.came_s > self._stale_s for e in self.links]
-        return [
-            Why.NO_SCAN if silent else each.last
-            for silent, each in zip(is_silent, self.links, strict=True)
-        ]

@@ -6,6 +6,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,14 @@ BACK_MAX = 10  # ordered poses in a row before the last one: the robot's clock w
 OnPose = Callable[[float, float, float, float], None]
 
 
+class TakenPose(NamedTuple):
+    """A pose that was taken."""
+
+    t: float
+    pose: tuple[float, float, float]
+    speed: float  # of the skin since the pose before [m/s]
+
+
 class PoseTrack:
     """The last poses (t, x, y, θ) of the sensor in the world; bounded memory."""
 
@@ -37,24 +46,21 @@ class PoseTrack:
         reach_m: float = 0.0,
     ) -> None:
         """`on_pose` is called with every accepted pose (t, x, y, θ), as it came. `mount` (3,): the
-        sensor's frame in the frame of the poses. `extrapolate_s`: longest time
-        after the last pose for which the motion of the last two is taken to go on. `reach_m`: of
-        the skin from the sensor's axis."""
-        self.mount = mount
-        self._lever_m = reach_m + (0.0 if mount is None else math.hypot(*mount[:2]))
+        sensor's frame in the frame of the poses. `extrapolate_s`: longest time after the last pose
+        for which the motion of the last two is taken to go on. `reach_m`: of the skin from the
+        sensor's axis."""
         self.extrapolate_s = extrapolate_s
-        self._on_pose = on_pose
         self.taken = 0
         self.rejected = 0  # not finite, not later than the one before, far, or in the future
         self.far = 0  # beyond FAR_M
-        self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last time
-        self._t: deque[float] = deque(maxlen=KEPT)
-        self._pose: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
-        self._speed: deque[float] = deque(maxlen=KEPT)  # of the skin since the pose before [m/s]
+        self._on_pose, self._mount = on_pose, mount
+        self._lever_m = reach_m + (0.0 if mount is None else math.hypot(*mount[:2]))
+        self._back, self._back_t = 0, math.inf  # poses in a row that went back, and the last time
+        self._kept: deque[TakenPose] = deque(maxlen=KEPT)
 
     @property
     def latest_t(self) -> float:
-        return self._t[-1] if self._t else -np.inf
+        return self._kept[-1].t if self._kept else -math.inf
 
     def reaches(self, t: float) -> bool:
         """Whether the pose at time t is known well enough that no later one is needed."""
@@ -63,38 +69,29 @@ class PoseTrack:
     def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:
         """Take a pose that has arrived at `now`; times must increase, unless a clock was set
         back."""
-        if not self._is_fit(t, x, y, theta, now):
+        # one from the future would keep out all poses before its time
+        is_fit = all(map(math.isfinite, (t, x, y, theta))) and t <= now + FUTURE_S
+        is_far = is_fit and max(abs(x), abs(y)) > FAR_M
+        self.far += is_far
+        if not is_fit or is_far or not (t > self.latest_t or self._is_set_back(t)):
             self.rejected += 1
             return
         self._back = 0
         self.taken += 1
-        self._speed.append(self._speed_to(t, (x, y, theta)))
-        self._t.append(t)
-        self._pose.append((x, y, theta))
+        self._kept.append(TakenPose(t, (x, y, theta), self._speed_to(t, (x, y, theta))))
         if self._on_pose is not None:
             self._on_pose(t, float(x), float(y), float(theta))
 
-    def _is_fit(self, t: float, x: float, y: float, theta: float, now: float) -> bool:
-        if not all(map(math.isfinite, (t, x, y, theta))):
-            return False
-        if t > now + FUTURE_S:  # it would keep out all poses before its time
-            return False
-        if max(abs(x), abs(y)) > FAR_M:
-            self.far += 1
-            return False
-        return t > self.latest_t or self._is_set_back(t)
-
     def clear(self) -> None:
         """Forget all poses: their times are of another clock."""
-        for each in (self._t, self._pose, self._speed):
-            each.clear()
+        self._kept.clear()
 
     def _speed_to(self, t: float, pose: tuple[float, float, float]) -> float:
         """Speed of the skin [m/s] since the last pose; 0 where there is none, or one is wrong."""
-        if not self._t or math.dist(self._pose[-1][:2], pose[:2]) > se2.JUMP_M:
+        if not self._kept or math.dist(self._kept[-1].pose[:2], pose[:2]) > se2.JUMP_M:
             return 0.0
-        way_m = moved_m(np.array(self._pose[-1]), np.array(pose), self._lever_m)
-        return way_m / max(t - self._t[-1], BRIEF_S)
+        way_m = moved_m(np.array(self._kept[-1].pose), np.array(pose), self._lever_m)
+        return way_m / max(t - self.latest_t, BRIEF_S)
 
     def _is_set_back(self, t: float) -> bool:
         """Whether enough poses from the past came in a row that they are the present."""
@@ -108,53 +105,67 @@ class PoseTrack:
     def at(self, t: float) -> Poses | None:
         """The sensor's pose (3,) at time t: interpolated, extrapolated at the speed of the last
         two, or the last one while it is young enough; None where no pose is near enough in time."""
-        came = self._came(t)
-        return came if came is None or self.mount is None else se2.compose(came, self.mount)
+        i = self._after(t)
+        if i and self._is_between(i):
+            came = self._between(i - 1, t)
+        elif i == len(self._kept) and self._goes_on(t):
+            came = self._between(i - 2, t)
+        elif i and t - self._kept[i - 1].t <= AGE_S:
+            came = np.array(self._kept[i - 1].pose)
+        else:
+            return None
+        return came if self._mount is None else se2.compose(came, self._mount)
 
-    def sd_m(self, t: float, late_s: float = 0.0) -> float:
+    def sd_m(self, t: float, late_s: float) -> float:
         """Standard deviation of the skin's place at a time t of which `at` has a pose, beside the
         robot's own: its greatest speed about then, times the time to the nearest pose and the
         error of t, which is too late by anything up to `late_s`."""
-        i = bisect_right(self._t, t)
+        i = self._after(t)
         if not i:
             return 0.0
         newest = i if self._is_between(i) else i - 1
-        age_s = min(abs(t - self._t[k]) for k in (i - 1, newest))
-        first = max(min(bisect_right(self._t, t - late_s), newest) - 1, 0)
-        speed = max(islice(self._speed, first, newest + 1))
+        age_s = min(abs(t - self._kept[k].t) for k in (i - 1, newest))
+        first = max(min(self._after(t - late_s), newest) - 1, 0)
+        speed = max(each.speed for each in islice(self._kept, first, newest + 1))
         return speed * math.hypot(age_s, late_s / math.sqrt(3.0))
 
-    def _came(self, t: float) -> Poses | None:
-        """The pose (3,) at time t of the frame that the robot sends."""
-        i = bisect_right(self._t, t)
-        if i == 0:
-            return None
-        if self._is_between(i):
-            return self._between(i - 1, t)
-        if i == len(self._t) and self._goes_on(t):
-            return self._between(i - 2, t)
-        return np.array(self._pose[i - 1]) if t - self._t[i - 1] <= AGE_S else None
+    def _after(self, t: float) -> int:
+        """The number of the first pose after time t."""
+        return bisect_right(self._kept, t, key=lambda each: each.t)
 
     def _is_between(self, i: int) -> bool:
         """Whether pose number i and the one before tell of the time between them."""
-        return i < len(self._t) and self._t[i] - self._t[i - 1] <= AGE_S
+        return i < len(self._kept) and self._kept[i].t - self._kept[i - 1].t <= AGE_S
 
     def _goes_on(self, t: float) -> bool:
         """Whether the last two poses tell the pose at the later time t."""
-        if len(self._t) < 2 or not self.extrapolate_s:
+        if len(self._kept) < 2:
             return False
-        ahead_s, period_s = t - self._t[-1], self._t[-1] - self._t[-2]
+        ahead_s, period_s = t - self.latest_t, self.latest_t - self._kept[-2].t
         return 0.0 < ahead_s <= min(self.extrapolate_s, REACH_PERIODS * period_s, AGE_S)
 
     def _between(self, i: int, t: float) -> Poses:
         """The pose (3,) on the line through two poses, or beyond the second."""
-        before, after = self._pose[i], self._pose[i + 1]
-        share = (t - self._t[i]) / (self._t[i + 1] - self._t[i])
+        (t0, before, _), (t1, after, _) = self._kept[i], self._kept[i + 1]
+        share = (t - t0) / (t1 - t0)
         x, y, turn = (b - a for a, b in zip(before, after, strict=True))
         if math.hypot(x, y) > se2.JUMP_M:  # one of the two is wrong, and so is everything between
             return np.array(before if share < 0.5 else after)
         theta = se2.wrap(np.float64(before[2] + share * se2.wrap(np.float64(turn))))
         return np.array([before[0] + share * x, before[1] + share * y, theta])
+
+
+class StandingStill(PoseTrack):
+    """A sensor without a robot: always at the origin."""
+
+    def add(self, *_: float) -> None:
+        """Ignored: there is no robot."""
+
+    def reaches(self, t: float) -> bool:  # noqa: ARG002
+        return True
+
+    def at(self, t: float) -> Poses:  # noqa: ARG002
+        return se2.IDENTITY
 
 
 class Pace:
@@ -173,29 +184,3 @@ class Pace:
         behind = [t - before - k * self._period_s for k, before in enumerate(last, 1)]
         last.appendleft(t)
         return min(max([0.0, *behind]), self._period_s)
-
-
-class StandingStill:
-    """A sensor without a robot: always at the origin."""
-
-    mount = None
-    taken = rejected = far = 0
-    latest_t = np.inf
-
-    def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:
-        """Ignored: there is no robot."""
-
-    @staticmethod
-    def reaches(t: float) -> bool:  # noqa: ARG004
-        return True
-
-    @staticmethod
-    def sd_m(t: float, late_s: float) -> float:  # noqa: ARG004
-        return 0.0
-
-    def clear(self) -> None:
-        """There is nothing to forget."""
-
-    def at(self, t: float) -> Poses:  # noqa: ARG002
-        """The origin (3,)."""
-        return se2.IDENTITY

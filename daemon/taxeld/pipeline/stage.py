@@ -3,16 +3,17 @@ them."""
 
 import math
 from collections import deque
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
+from taxeld.arrays import Poses
 from taxeld.config.tables import Config
 from taxeld.estimator.rule import noise_of
 from taxeld.layout.layout import Layout
+from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import LinkInputs, Why
-from taxeld.pipeline.outcome import InputCounters, later
 from taxeld.pipeline.poses import OnPose, Pace, PoseTrack, StandingStill
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
@@ -21,85 +22,125 @@ from taxeld_protocol.decoder import Scan
 
 FUTURE_S = 0.1  # a scan stamped farther in the future was stamped wrongly
 SCAN_AGE_S = 0.5  # a scan that is older when it arrives is not used
+SILENT_PERIODS = 3.0  # scan periods without a scan: a hub is silent, all is stale
 WAITING_MAX = 64  # scans that may wait; beyond, the oldest wait no longer
+
+Dated = TypeVar("Dated", Scan, Activation, SkinState)
+
+
+@dataclass(slots=True)
+class InputCounters:
+    """Counters of the inputs, since start."""
+
+    scans_old: int = 0  # scans older than their limit when they arrived, not used
+    scans_from_the_future: int = 0  # scans later than now, or without a time, not used
+    scans_without_pose: int = 0  # scans without a sensor pose near in time, not used
+    scans_waited: int = 0  # scans that waited for a pose at or after their time
+    clock_steps: int = 0  # steps of the Unix clock
 
 
 class LinkStage:
-    """Holds what belongs to one link alone. Times within are without the steps of the Unix clock,
-    as in `Pipeline`."""
+    """Holds what belongs to one link alone. The skin and waiting scans use a time without the steps
+    of the Unix clock: Unix time less `stepped_s`."""
 
     def __init__(
         self,
         config: Config,
         layout: Layout,
-        silent_s: float,
-        fresh: LinkInputs,
         on_pose: OnPose | None,
         calibration: Calibration | None,
         extrapolate_s: float,
     ) -> None:
-        """`config`: of this link, with the values of its calibration. `silent_s`: time [s] after
-        which a hub without a scan is silent. `fresh`: what became of the link's last scan."""
-        self.config, self.calibration, self.fresh = config, calibration, fresh
-        self.skin = Skin(layout, config.skin, silent_s, calibration, noise=noise_of(config.filter))
-        self.poses: PoseTrack | StandingStill = StandingStill()
+        """`config`: of this link."""
+        self.config, self.calibration = calibrated(config, calibration), calibration
+        period_s = config.source.period_ms / 1e3
+        self.silent_s = max(SCAN_AGE_S, SILENT_PERIODS * period_s)  # without a scan of a hub
+        noise = noise_of(self.config.filter)
+        self.skin = Skin(layout, self.config.skin, self.silent_s, calibration, noise=noise)
+        self.poses: PoseTrack = StandingStill()
         if config.sensor_pose.endpoint:
             mount = None if calibration is None else calibration.mount
             reach_m = float(np.hypot(*layout.position_m[:, :2].T).max())
             self.poses = PoseTrack(on_pose, mount, extrapolate_s, reach_m)
-        self.pace = Pace(config.source.period_ms / 1e3 if config.source.is_unstamped else math.inf)
+        self._pace = Pace(period_s if config.source.is_unstamped else math.inf)
+        self.fresh = LinkInputs()
         self.inputs = InputCounters()
         self.waiting: deque[tuple[float, Scan]] = deque()  # scans with their times of arrival
 
-    def arrive(self, scan: Scan, now: float, stepped_s: float) -> float | None:
-        """Take a scan that has arrived at the Unix time `now`; → its age [s] where it is refused,
-        as too old or from the future."""
-        age = now - scan.t
-        if -FUTURE_S <= age <= SCAN_AGE_S:
+    def arrive(self, scan: Scan, now: float, stepped_s: float) -> bool:
+        """Take a scan that has arrived at the Unix time `now`, unless it is too old or from the
+        future; → whether it was taken."""
+        age_s = now - scan.t
+        if -FUTURE_S <= age_s <= SCAN_AGE_S:
             self.waiting.append((now - stepped_s, later(scan, -stepped_s)))
             self.inputs.scans_waited += not self.poses.reaches(scan.t)
-            return None
-        if age > 0.0:
-            self.inputs.scans_old += 1
-        else:
-            self.inputs.scans_from_the_future += 1
+            return True
+        self.inputs.scans_old += age_s > 0.0
+        self.inputs.scans_from_the_future += not age_s > 0.0
         self.fresh.last = Why.SCANS_MISTIMED
-        return age
+        return False
 
     def is_due(self, now: float, stepped_s: float) -> bool:
-        """Whether the first waiting scan need not wait any longer."""
+        """Whether the first waiting scan need not wait any longer, at the Unix time `now`."""
         arrived, scan = self.waiting[0]
-        waited = now - arrived >= self.config.sensor_pose.wait_s
+        waited = now - stepped_s - arrived >= self.config.sensor_pose.wait_s
         has_pose = self.poses.reaches(scan.t + stepped_s)
         return waited or has_pose or len(self.waiting) > WAITING_MAX
 
-    def state(self, stepped_s: float) -> SkinState | None:
-        """The skin's learned state in Unix time; None before there is any."""
-        state = self.skin.state()
-        return None if state is None else later(state, stepped_s)
+    def take(self, stepped_s: float) -> tuple[float, Activation | None, Poses | None]:
+        """The first waiting scan: its time, its activation, None before there is a baseline, and
+        its sensor's pose (3,), None where it is not known well enough."""
+        scan = self.waiting.popleft()[1]
+        late_s = self._pace.late_s(scan.ihb, scan.t)
+        activation = self.skin.on_scan(scan)
+        self.fresh.is_whole = len(self.skin.wiring.lacking) <= self.config.skin.missing_modules
+        if activation is None:
+            self.fresh.last = Why.STARTING
+            return scan.t, None, None
+        t = scan.t + stepped_s
+        sensor, sd_m = self.poses.at(t), self.poses.sd_m(t, late_s)
+        if sensor is None or sd_m > self.config.filter.within_m:
+            self.inputs.scans_without_pose += 1
+            self.fresh.last = Why.NO_POSE
+            return scan.t, activation, None
+        self.fresh.last = Why.VALID
+        return scan.t, replace(activation, place_sd_m=sd_m), sensor
 
     def tare(self) -> None:
         """Learn the idle baseline anew; the skin must not be touched."""
         self.skin.tare()
         self.fresh.last = Why.STARTING
 
-    def counts(self) -> dict[str, int]:
-        """Counts of poses, and of scans before their use; waiting ones are not counted yet."""
+    def health(self) -> dict[str, Any]:
+        """Counts since start of poses, of scans before their use (those that wait are not counted
+        yet), and of the skin; and the taxels that cannot be believed."""
+        skin = self.skin
         return {
-            **asdict(self.inputs),
-            "scans_waiting": len(self.waiting),
-            "poses": self.poses.taken,
-            "poses_rejected": self.poses.rejected,
+            "inputs": {
+                **asdict(self.inputs),
+                "scans_waiting": len(self.waiting),
+                "poses": self.poses.taken,
+                "poses_rejected": self.poses.rejected,
+            },
+            "skin": {**asdict(skin.counters), "lowered": skin.lowered, "gain": skin.fit.gain},
+            "modules": {"layout": skin.modules, "foreign": len(skin.wiring.foreign)},
+            **skin.faults(),
         }
 
-    def health(self) -> dict[str, Any]:
-        """Counters of the skin since start, and the taxels that cannot be believed."""
-        return {
-            "skin": {
-                **asdict(self.skin.counters),
-                "lowered": self.skin.lowered,
-                "gain": self.skin.fit.gain,
-            },
-            "modules": {"layout": self.skin.modules, "foreign": len(self.skin.wiring.foreign)},
-            **self.skin.faults(),
-        }
+
+def calibrated(config: Config, calibration: Calibration | None) -> Config:
+    """The configuration with measured values: full scale, and the filter's noise and gain
+    spread."""
+    if calibration is None:
+        return config
+    c = calibration
+    return replace(
+        config,
+        skin=replace(config.skin, full_scale_counts=c.full_scale_counts),
+        filter=replace(config.filter, noise_sigma=c.noise_sigma, gain_cv=c.gain_cv),
+    )
+
+
+def later(dated: Dated, by: float) -> Dated:
+    """The same at a time that is later by `by` seconds."""
+    return replace(dated, t=dated.t + by) if by else dated

@@ -1,33 +1,104 @@
-"""What comes to a run: the scans of its sources, and the robot's poses."""
+"""What comes to a run: the scans of its sources and the robot's poses; and what is wrong with the
+latter (docs/troubleshooting.md has more mistakes, by the counts of `taxeld status`)."""
 
 import contextlib
+import math
 import time
+from collections import deque
 
 from taxeld.config.tables import SourceConfig
 from taxeld.layout.layout import Layout
-from taxeld.pipeline.pose_watch import PoseFigures, PoseWatch
+from taxeld.pipeline.poses import FAR_M
 from taxeld.service.prepare import Prepared
 from taxeld.source import buses
-from taxeld.source.buses import Bus
 from taxeld.source.recorder import Recorder
 from taxeld.source.source import Source
 from taxeld.source.sources import open_source
-from taxeld.stream.link import Link
+from taxeld.stream.link import Link, PeerLine
 from taxeld_protocol.decoder import Scan
 
 GATHER_S = 0.0002  # silence after a whole scan: its frames follow each other more closely
 GATHERS = 20  # looks at the device for further frames, GATHER_S apart
+LOOKS = 5  # looks at the poses, a second each, over which their rate and clock are judged
+SEEN = 3  # looks in a row that must show a fault: a busy machine is late now and then
+OFFSET_S = 0.05  # between the robot's clock and this one
+SLOW = 0.9  # share of the scans' rate: fewer poses are too few
+STOPPED_S = 1.0  # without a pose, after which they have stopped
+NEVER_S = -1.0  # age reported before the first pose
+
+
+class PoseWatch:
+    """Follows the first link's poses as they come, and sums them up once a second."""
+
+    def __init__(self, endpoint: str, scan_period_s: float) -> None:
+        self.fault = ""  # the fault with its cure, once it was seen SEEN times
+        self.rate_hz, self.age_s = 0.0, NEVER_S
+        self.offset_s = 0.0  # least delay of the poses' times behind this clock in the last looks
+        self.endpoint, self._scans_hz = endpoint, 1.0 / scan_period_s
+        self._received = self._malformed = 0
+        self._is_far = False  # a pose since the last look was
+        self._found, self._times = "", 0  # fault at the last look, and how often it was seen
+        self.clock_stepped()
+
+    def clock_stepped(self) -> None:
+        """Forget the measurements: they are of another clock."""
+        # at each look: its time, the poses so far, and the least offset since the one before
+        self._looks: deque[tuple[float, int, float]] = deque(maxlen=LOOKS)
+        self._nearest_s, self._came_s = math.inf, math.nan
+
+    def add(self, t: float, now: float, *, is_far: bool = False) -> None:
+        """A pose of Unix time t has come `now`, used or not; `is_far`: too far from the origin."""
+        self._is_far |= is_far
+        self._received += 1
+        self._came_s = now
+        self._nearest_s = min(self._nearest_s, now - t, key=abs)
+
+    def look(self, now: float, line: PeerLine, *, is_heard: bool) -> None:
+        """Sum up at the Unix time `now`; `line`: what the door says of the robot. Unless the door
+        `is_heard`, no fault is the robot's."""
+        self.age_s = NEVER_S if math.isnan(self._came_s) else max(now - self._came_s, 0.0)
+        self._looks.append((now, self._received, self._nearest_s))
+        then, before, _ = self._looks[0]
+        self.rate_hz = (self._received - before) / (now - then) if now > then else 0.0
+        offsets = [offset for *_, offset in self._looks if math.isfinite(offset)]
+        self.offset_s = min(offsets, key=abs, default=self.offset_s)
+        found = self._judge(line) if is_heard else ""
+        self._times = self._times + 1 if found == self._found else 1
+        if self._times >= SEEN or not found:
+            self.fault = found
+        self._found, self._malformed, self._nearest_s = found, line.malformed, math.inf
+        self._is_far = False
+
+    def _judge(self, line: PeerLine) -> str:
+        at = self.endpoint
+        if line.malformed > self._malformed:
+            return f"messages come and are no poses: {line.reason}"
+        if not 0.0 <= self.age_s <= STOPPED_S:
+            if line.refused:
+                return f"{at} refuses the daemon: both must use keys, or neither (curve.directory)"
+            if not line.connected:
+                return f"nobody serves {at}: start the publisher; it binds, the daemon connects"
+            heard = f"only {', '.join(line.topics)} comes" if line.topics else "no pose comes"
+            return f"connected to {at}, and {heard}: publish /robot/sensor_pose"
+        is_known = len(self._looks) == LOOKS
+        if is_known and abs(self.offset_s) > OFFSET_S:
+            return (
+                "their times are not of this machine's clock: send Unix time in seconds, and let "
+                "chrony or PTP keep both clocks"
+            )
+        if self._is_far:
+            return f"x or y is beyond {FAR_M:g} m: send metres, not millimetres"
+        if is_known and self.rate_hz < SLOW * self._scans_hz:
+            return "fewer poses than scans come: publish 100 a second"
+        return ""
 
 
 class Inputs:
     """The sources of one run, and the watch over the first link's poses."""
 
-    def __init__(self, made: Prepared) -> None:
-        self._made, self._robot = made, made.config.sensor_pose.endpoint
-        self.watch = PoseWatch(self._robot, made.config.source.period_ms / 1000.0)
-        self.buses = list[Bus]()
-
-    def open(self, link: Link, recorder: Recorder | None, opened: contextlib.ExitStack) -> None:
+    def __init__(
+        self, made: Prepared, link: Link, recorder: Recorder | None, opened: contextlib.ExitStack
+    ) -> None:
         """Open all sources, until `opened` ends; those that come by the door come by `link`.
 
         Raises:
@@ -42,50 +113,28 @@ class Inputs:
                 link.on_array = source.hear
             return source
 
-        self.buses = buses.opened(self._made.config, self._made.layouts, open_one)
+        self._names = made.config.names
+        self.watch = PoseWatch(
+            made.config.sensor_pose.endpoint, made.config.source.period_ms / 1000.0
+        )
+        self.buses = buses.opened(made.config, made.layouts, open_one)
+        self.sources = [bus.source for bus in self.buses]  # the first is the first link's
+        self.come_by_door = any(source.comes_by_door for source in self.sources)
         for bus in self.buses:
-            wirings = [self._made.pipeline.stages[k].skin.wiring for k in bus.links]
+            wirings = [made.pipeline.stages[k].skin.wiring for k in bus.links]
             for wiring in wirings:
                 wiring.neighbours = {sui for each in wirings for sui in each.suis}
-
-    @property
-    def sources(self) -> list[Source]:
-        """One for each bus; the first is the first link's."""
-        return [bus.source for bus in self.buses]
-
-    @property
-    def source(self) -> Source:
-        """The first link's."""
-        return self.buses[0].source
-
-    @property
-    def come_by_door(self) -> bool:
-        """Whether scans come by the door, as those of an array do."""
-        return any(source.comes_by_door for source in self.sources)
 
     @property
     def waits_for(self) -> str:
         """What each source waits for, with its links where there are several."""
         if len(self.buses) == 1:
-            return self.source.waits_for
+            return self.sources[0].waits_for
         return "; ".join(
-            f"{', '.join(self._made.config.names[k] for k in bus.links)}: {bus.source.waits_for}"
+            f"{', '.join(self._names[k] for k in bus.links)}: {bus.source.waits_for}"
             for bus in self.buses
             if bus.source.waits_for
         )
-
-    @property
-    def openings(self) -> int:
-        """How often a device was opened again, or was tried to be."""
-        return sum(each.counters.unopened + each.counters.reopened for each in self.sources)
-
-    def on_pose(self, t: float, x: float, y: float, theta: float, link: int = 0) -> None:
-        """A pose of a link's sensor has come."""
-        now, poses = time.time(), self._made.pipeline.stages[link].poses
-        far = poses.far
-        poses.add(t, x, y, theta, now)
-        if not link:
-            self.watch.add(t, now, is_far=poses.far > far)
 
     def gather(self) -> None:
         """Wait until the frames that come are a whole scan: a pass for each of them would cost more
@@ -101,10 +150,10 @@ class Inputs:
         """The scans of each link that have come; `now_s` is monotonic."""
         return buses.polled(self.buses, now_s)
 
-    def pose_figures(self, link: Link, t: float) -> PoseFigures:
-        """Figures of the robot's poses at the Unix time t; to be called once a second."""
-        if not self._robot:
-            return PoseFigures()
-        line = link.report.robot
-        state = {"connected": line.connected, "refused": line.refused, "is_heard": link.is_heard}
-        return self.watch.look(t, line.malformed, line.reason, line.topics, **state)
+    def look(self, link: Link, t: float) -> None:
+        """Once a second, at the Unix time t: take what the door says of robot and array."""
+        if self.watch.endpoint:
+            self.watch.look(t, link.report.robot, is_heard=link.is_heard)
+        array = link.report.array
+        for source in self.sources:
+            source.heed(connected=array.connected, malformed=array.malformed, reason=array.reason)

@@ -8,27 +8,26 @@ opinion on what was felt, if the pipeline has one to offer.
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any
 
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
-from taxeld.pipeline.warm_up import warm_up
 from taxeld.prior import PosePrior
 from taxeld.proposals import bundle
-from taxeld.service import health, realtime
-from taxeld.service.clock import WallClock
+from taxeld.service import realtime
+from taxeld.service.clock import ALL, Ready, Ticker, WallClock, wait
 from taxeld.service.doorkeeper import Doorkeeper, settings_of
 from taxeld.service.inputs import Inputs
 from taxeld.service.kept import Store
 from taxeld.service.notify import Notifier
 from taxeld.service.prepare import digest, prepared
 from taxeld.service.publisher import LoopCounters, Publisher
-from taxeld.service.ticker import ALL, Ready, Ticker, wait
-from taxeld.source.recorder import Recorder
+from taxeld.skin.calibration import DAY_S
+from taxeld.source.recorder import RecordCounters, Recorder
 from taxeld.stream import messages
 from taxeld.stream.link import Link
-from taxeld_protocol.decoder import Scan
 
 TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
 START_S = 2.0  # time that a skin may take to start, before the lack of scans is a fault
@@ -51,25 +50,25 @@ class Daemon:
             # the door's process starts while the slow parts here load
             door = Doorkeeper(settings_of(config))
             self.door = opened.enter_context(contextlib.closing(door))
-            made = prepared(config, recorder)
+            on_poses = [recorder.of(k).pose for k in range(len(config.each))] if recorder else []
+            made = prepared(config, time.time(), time.perf_counter_ns, on_poses)
             self.config, self.layouts, self.pipeline = made.config, made.layouts, made.pipeline
+            self.pipeline.thinks_at_once = False
             self._objects = bundle.scenes(made.bundles)
-            self._models = [one.model for one in made.bundles]
             self.counters, self.clock = LoopCounters(), WallClock()
             self.realtime, self.recorder = realtime.RealTime(), recorder
             self.start_s = time.monotonic()
             self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
             self._next_look_s = 0.0
-            self.inputs = Inputs(made)
             self.kept = Store(self.config, self.pipeline)
             changes = {"tare": self.pipeline.tare, "reset": self._reset, "prior": self._prior}
-            self.link = Link(self._info(), self.inputs.on_pose, changes)
-            self.publisher = Publisher(made, self.inputs, self.link, self.counters)
+            self.link = Link(self._info(), self.on_pose, changes)
             opened.callback(self.link.detach)
             opened.callback(self.kept.close)
             if recorder:
                 opened.enter_context(recorder)
-            self.inputs.open(self.link, recorder, opened)
+            self.inputs = Inputs(made, self.link, recorder, opened)
+            self.publisher = Publisher(made, self.inputs, self.link, self.counters)
             self.door.wait(self.link)
             self._opened = opened.pop_all()
 
@@ -91,8 +90,8 @@ class Daemon:
         notifier, pipeline = Notifier(), self.pipeline
         try:
             realtime.trim()
-            if self._models:
-                warm_up(self.config, self._models, pipeline.samples)
+            if pipeline.has_object:
+                pipeline.warm_up()
                 self.kept.restore_belief()
             pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
             with realtime.thread(self.config.loop.priority) as self.realtime:
@@ -116,7 +115,8 @@ class Daemon:
             self.counters.overruns = ticker.missed
             self.tick(now, ready)
             notifier.tick(now, self.publisher.status_line)
-            collector.tick(now, self.inputs.openings, pressed=self.pipeline.is_touched)
+            openings = sum(s.counters.unopened + s.counters.reopened for s in sources)
+            collector.tick(now, openings, pressed=self.pipeline.is_touched)
             between()
             fault = next((source.fault for source in sources if source.fault), "")
             if fault:
@@ -124,6 +124,8 @@ class Daemon:
             ready = self._wait(ticker)
 
     def _wait(self, ticker: Ticker) -> Ready:
+        """Sleep until the next pass is due, or until a whole scan, or a pose for one that waits, is
+        there."""
         pipeline, sources = self.pipeline, self.inputs.sources
         if pipeline.has_waiting:
             self.link.ask_poses(also_next=True)
@@ -140,44 +142,40 @@ class Daemon:
     def tick(self, now_s: float, ready: Ready = ALL) -> None:
         """One pass: inputs, pipeline, outputs. `now_s` is monotonic; `ready` names the inputs that
         may have arrivals. Without any there is time for a second opinion."""
-        start, cpu = time.perf_counter_ns(), time.thread_time_ns()
+        start_ns, began_ns = time.perf_counter_ns(), time.thread_time_ns()
+        pipeline, publisher = self.pipeline, self.publisher
         wall_s, stepped = self.clock.read()
         if stepped:
-            self.pipeline.clock_stepped(stepped)
+            pipeline.clock_stepped(stepped)
             self.inputs.watch.clock_stepped()
-        if self.inputs.come_by_door:
-            self._look_at_door(now_s, asked=ready.door)
-        scans = self.inputs.poll(now_s)
-        has_scans = any(scans)
-        came = (ready.door or has_scans) and not self.inputs.come_by_door  # else it has looked
-        self._look_at_door(now_s, asked=came or self.pipeline.has_waiting)
-        self._work(scans, start, wall_s, now_s)
-        if not (has_scans or ready.device) and self.pipeline.has_thought:
-            outcome = self.pipeline.think()
-            if outcome is not None:
-                self.publisher.thought(outcome, now_s)
-        self.kept.keep(now_s, wall_s)
-        if self.publisher.send_due(now_s):
-            self._send_health(now_s)
-        own_s = (time.thread_time_ns() - cpu) / 1e9
-        self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
-
-    def _work(
-        self, scans: Sequence[list[Scan]], start_ns: int, wall_s: float, now_s: float
-    ) -> None:
-        """Work on each scan of each link to its end, and publish its outcome. `start_ns`: when the
-        pass began, on `perf_counter_ns`."""
+        # poses, subscriptions and changes; while nothing needs them, only now and then
+        if any(ready) or pipeline.has_waiting or now_s >= self._next_look_s:
+            self._next_look_s = now_s + LOOK_S
+            self.door.look(self.link, now_s)
+        scans, *further = self.inputs.poll(now_s)
+        has_scans = bool(scans) or any(further)
         source_us = (time.perf_counter_ns() - start_ns) / 1000.0
-        cpu = time.thread_time_ns()
+        cpu_ns = time.thread_time_ns()
         # scans are stamped while polled, so the time must be read after that
-        now = time.time() if any(scans) else wall_s
-        for outcome in self.pipeline.advance(scans[0], now, *scans[1:]):
-            self.pipeline.freshness.came(now_s, outcome.link)
-            start_ns = self.publisher.outcome(outcome, source_us, start_ns, now_s)
+        for outcome in pipeline.advance(scans, time.time() if has_scans else wall_s, *further):
+            pipeline.freshness.came(now_s, outcome.link)
+            start_ns = publisher.outcome(outcome, source_us, start_ns, now_s)
             source_us = 0.0  # the time counts for the first scan alone
-            before, cpu = cpu, time.thread_time_ns()
+            before_ns, cpu_ns = cpu_ns, time.thread_time_ns()
             if outcome.is_used and outcome.estimate.injected:
-                self._judge_touch(cpu - before)
+                self._judge_touch(cpu_ns - before_ns)
+        if not (has_scans or ready.device) and pipeline.has_thought:
+            thought = pipeline.think()
+            if thought is not None:
+                publisher.thought(thought, now_s)
+        self.kept.keep(now_s, wall_s)
+        self.kept.remember(self.link, now_s)
+        if publisher.send_due(now_s):
+            t = time.time()
+            self.inputs.look(self.link, t)
+            publisher.health(self.health(now_s, t), now_s)
+        own_s = (time.thread_time_ns() - began_ns) / 1e9
+        self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
 
     def _judge_touch(self, took_ns: int) -> None:
         """Have fewer samples drawn where touches take more CPU time than there is between scans."""
@@ -190,18 +188,59 @@ class Daemon:
                 limit_ns / 1e6,
             )
 
-    def _look_at_door(self, now_s: float, *, asked: bool) -> None:
-        """Take poses, subscriptions and changes; while no scan needs poses, only now and then."""
-        if asked or now_s >= self._next_look_s:
-            self._next_look_s = now_s + LOOK_S
-            self.door.look(self.link, now_s)
+    def on_pose(self, t: float, x: float, y: float, theta: float, link: int = 0) -> None:
+        """A pose of a link's sensor has come."""
+        now, poses = time.time(), self.pipeline.stages[link].poses
+        far = poses.far
+        poses.add(t, x, y, theta, now)
+        if not link:
+            self.inputs.watch.add(t, now, is_far=poses.far > far)
 
-    def _send_health(self, now_s: float) -> None:
-        array = self.link.report.array
-        for source in self.inputs.sources:
-            source.heed(connected=array.connected, malformed=array.malformed, reason=array.reason)
-        told = health.of(self, self.publisher.seq, now_s, time.time())
-        self.publisher.health(told, now_s)
+    def health(self, now_s: float, t: float) -> dict[str, Any]:
+        """`/taxeld/health` from all parts of the daemon; `now_s` is monotonic, t Unix time. The
+        table in `stream/values.md` chooses what is published of all that is counted."""
+        pipeline, inputs, link = self.pipeline, self.inputs, self.link
+        source, report, written = inputs.sources[0], link.report, RecordCounters()
+        if self.recorder:
+            written = self.recorder.counters
+        calibration, counted = pipeline.stages[0].calibration, pipeline.health()
+        counted["inputs"] |= {
+            "poses_malformed": report.robot.malformed,
+            "poses_rate_hz": inputs.watch.rate_hz,
+            "poses_age_s": inputs.watch.age_s,
+            "poses_offset_s": inputs.watch.offset_s,
+        }
+        parts = {
+            "uptime_s": now_s - self.start_s,
+            "loop": asdict(self.counters),
+            "lat_us": {"total": self.publisher.percentiles()},
+            "realtime": asdict(self.realtime),
+            "source": {
+                **source.wire.stats(),
+                **({"malformed": report.array.malformed} if source.comes_by_door else {}),
+                **asdict(source.counters),
+                "bus": {fault: n for fault, n in source.bus.counts.items() if n},
+            },
+            "calibration": {"age_s": calibration.age_days(t) * DAY_S if calibration else -1.0},
+            "door": {
+                "starts": self.door.starts,
+                "unsent": link.unsent,
+                "failed": link.failed,
+                "keys_refused": report.keys_refused,
+                "unbound": report.unbound,
+            },
+            "recording": {"dropped": written.dropped, "failed": written.failed},
+            **counted,
+        }
+        if len(self.layouts) > 1:
+            whys, of_bus = pipeline.freshness.of_links(now_s), dict[int, dict[str, int]]()
+            for bus in inputs.buses:
+                of_bus |= dict.fromkeys(bus.links, asdict(bus.source.counters))
+            parts["links"] = {
+                name: {"why": int(whys[k]), "source": of_bus[k], **pipeline.stages[k].health()}
+                for k, name in enumerate(self.config.names)
+            }
+        return messages.health(self.publisher.seq, t, parts)
 
     def _reset(self) -> str:
         """Forget all touches; → why that was not done."""
@@ -212,8 +251,7 @@ class Daemon:
 
     def _prior(self, **given: Any) -> str:
         """Take a prior; → why it is not taken."""
-        pose = PosePrior(**given)
-        numbers = [k for k, name in enumerate(self._objects) if name == pose.object]
-        if pose.object and not numbers:
-            return f"no object {pose.object}; there are {', '.join(self._objects)}"
-        return self.pipeline.tell(pose, numbers or None)
+        pose, names = PosePrior(**given), list(self._objects)
+        if pose.object and pose.object not in names:
+            return f"no object {pose.object}; there are {', '.join(names)}"
+        return self.pipeline.tell(pose, [names.index(pose.object)] if pose.object else None)

@@ -6,14 +6,13 @@ service manager bounds how many lines there are (LogRateLimitBurst=).
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
-from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Estimate, Status
-from taxeld.layout.layout import Layout
 from taxeld.pipeline.freshness import CURES, Why
-from taxeld.skin.channels import Wiring, mismatch
+from taxeld.pipeline.stage import LinkStage
+from taxeld.service.prepare import Prepared
+from taxeld.skin.channels import mismatch
 
 SURE = 0.99  # least probability of an object that is named
 GRAVE = (Status.STALE, Status.BLIND, Status.INCONSISTENT)
@@ -26,29 +25,26 @@ log = logging.getLogger(__name__)
 class Notices:
     """The notices of one daemon."""
 
-    def __init__(self, names: Sequence[str], proposal: str, bundles: Sequence[Path]) -> None:
+    def __init__(self, made: Prepared, names: Sequence[str]) -> None:
         """`names`: of the objects that it may be."""
-        self._of = ["no object: the skin alone"]
-        if bundles:
-            self._of = [
-                f"object {' or '.join(names)}",
-                f"samples by {proposal} of {', '.join(map(str, bundles))}",
-            ]
-        self._names = names
+        self._made, self._names = made, names
         self._object = 0 if len(names) == 1 else -1  # number of the last one that was logged
         self._status: tuple[Status, Why] | None = None  # the last, and why it was not valid
         self._logged_s, self._pause_s = -math.inf, STATUS_S  # of that line
         self._said: dict[str, str] = {}  # the last line on each subject
         self._looks = 0  # since the modules of a hub have changed
 
-    def ready(self, config: Config, layout: Layout, waits_for: str) -> None:
-        """All is open and warm; `layout`: of the first link, `waits_for`: the source's."""
+    def ready(self, waits_for: str) -> None:
+        """All is open and warm; the first link's source `waits_for` something."""
+        config, layout, bundles = self._made.config, self._made.layouts[0], self._made.bundles
         source, poses = config.source, config.sensor_pose.endpoint
-        where = source.where
-        parts = [
-            f"skin {layout.name}, {len(layout)} taxels",
-            *self._of,
-            f"source {source.kind} {where}, {'not there yet' if waits_for else 'open'}",
+        parts = [f"skin {layout.name}, {len(layout)} taxels", "no object: the skin alone"]
+        if bundles:
+            paths = ", ".join(str(one.path) for one in bundles)
+            proposal = self._made.pipeline.samples.name
+            parts[1:] = [f"object {' or '.join(self._names)}", f"samples by {proposal} of {paths}"]
+        parts += [
+            f"source {source.kind} {source.where}, {'not there yet' if waits_for else 'open'}",
             f"sensor poses {f'from {poses}' if poses else 'none: it stands still'}",
             f"streams at {', '.join(config.publish.endpoints) or 'nowhere'}",
             f"control at {config.control.endpoint or 'nowhere'}",
@@ -58,9 +54,11 @@ class Notices:
     def estimate(self, estimate: Estimate, why: Why, reason: str, now_s: float) -> None:
         """Log a published estimate if its status, or why it is not valid, has changed; `reason`:
         the same in words. So is the object, once it is known. `now_s` is monotonic."""
-        if estimate.objects:
-            self._name(estimate)
-        status = estimate.status
+        number, status = estimate.object, estimate.status
+        if estimate.objects and number != self._object and estimate.objects[number] >= SURE:
+            self._object = number
+            name, p = self._names[number], estimate.objects[number]
+            log.info("object: %s, p %.1f %%", name, 100.0 * p)
         passed_s = now_s - self._logged_s
         if (status, why) == self._status or passed_s < self._pause_s:
             return
@@ -74,32 +72,33 @@ class Notices:
         line += f": {reason}" if reason else f"{where}, radius {1e3 * estimate.radius_m:.1f} mm"
         log.log(logging.WARNING if status in GRAVE else logging.INFO, "status: %s", line)
 
-    def _name(self, estimate: Estimate) -> None:
-        number, p = estimate.object, estimate.objects[estimate.object]
-        if number != self._object and p >= SURE:
-            self._object = number
-            log.info("object: %s, p %.1f %%", self._names[number], 100.0 * p)
+    def inputs(self, poses_fault: str, now_s: float) -> None:
+        """Once a second: log what has changed of the robot's poses, of the modules that the hubs
+        have, and which of several links has ceased to work. `now_s` is monotonic."""
+        self._say("sensor_pose", poses_fault, "poses come as they should")
+        pipeline = self._made.pipeline
+        names, whys = pipeline.config.names, pipeline.freshness.of_links(now_s)
+        self._looks += 1
+        for name, stage, why in zip(names, pipeline.stages, whys, strict=True):
+            of = ""
+            if len(names) > 1:
+                of = f"{name}: "
+                works = why in (Why.VALID, Why.STARTING)
+                fault = "" if works else f"is left out, {CURES[why]}"
+                self._say(f"link {name}", fault, "works")
+            self._modules(of, stage)
 
-    def links(self, whys: Mapping[str, Why]) -> None:
-        """Log which of several links has ceased to work, and why."""
-        for name, why in whys.items() if len(whys) > 1 else ():
-            fault = "" if why in (Why.VALID, Why.STARTING) else f"is left out, {CURES[why]}"
-            self._say(f"link {name}", fault, "works")
-
-    def inputs(self, poses_fault: str, wiring: Wiring, *, match: bool, link: str = "") -> None:
-        """Log what has changed of the robot's poses, and of the modules that the hubs have;
-        `match`: whether these suffice; `link`: its name, where there are several."""
-        of = f"{link}: " if link else ""
-        self._say(f"{of}sensor_pose", poses_fault, "poses come as they should")
+    def _modules(self, of: str, stage: LinkStage) -> None:
+        wiring = stage.skin.wiring
         for hub, suis in wiring.hubs.items():
             known = len(set(suis) & set(wiring.suis))
             self._said.setdefault(f"{of}hub {hub} sends", "nothing yet")
             line = f"{len(suis)} modules, {known} of them in the layout"
             if self._say(f"{of}hub {hub} sends", "", line):
                 self._looks = 0
-        self._looks += 1
         if wiring.hubs and self._looks > MODULES_LOOKS:
-            line = mismatch(wiring.lacking, len(wiring.suis), len(wiring.foreign), match)
+            lacking, foreign = wiring.lacking, len(wiring.foreign)
+            line = mismatch(lacking, len(wiring.suis), foreign, stage.fresh.is_whole)
             self._say(f"{of}skin.layout", line, "all its modules are there")
 
     def _say(self, subject: str, fault: str, fine: str) -> bool:

@@ -1,17 +1,18 @@
-"""What a run needs beside devices and files: layouts, bundles, and the pipeline made of them."""
+"""What a run needs beside devices: layouts, bundles, calibrations, and the pipeline of them."""
 
 import hashlib
-import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.pipeline import Pipeline
+from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
+from taxeld.proposals.samples import ClockNs
 from taxeld.service import calibration_file
-from taxeld.source.recorder import Recorder
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,27 +25,31 @@ class Prepared:
     pipeline: Pipeline
 
 
-def prepared(config: Config, recorder: Recorder | None) -> Prepared:
-    """All parts; `recorder` gets the sensor's poses.
+def prepared(
+    config: Config,
+    t: float,
+    clock: ClockNs | None = None,
+    on_poses: Sequence[OnPose] = (),
+    *,
+    recorded: bool = False,
+) -> Prepared:
+    """All parts, for a start at Unix time `t`. With a `clock` [ns] samples are chosen by their cost
+    on this machine. `on_poses`: as of Pipeline. What is `recorded` may be older than its
+    calibration, and has all its poses.
 
     Raises:
         SetupError: one of them cannot be used.
     """
     skins = [layouts.load(one.skin.layout) for one in config.each]
+    calibrations = [
+        calibration_file.load(one.skin, layout, t, recorded=recorded)
+        for one, layout in zip(config.each, skins, strict=True)
+    ]
     bundles = bundle.load_all(config.scene, skins, config.skin.full_scale_depth_m)
     config = bundle.sized(config, [one.manifest for one in bundles])
-    pipeline = Pipeline(
-        config,
-        skins,
-        [one.model for one in bundles],
-        choice.samples(bundles, config.filter, time.perf_counter_ns),
-        [recorder.of(k).pose for k in range(len(skins))] if recorder else (),
-        [
-            calibration_file.load(one.skin, layout, time.time())
-            for one, layout in zip(config.each, skins, strict=True)
-        ],
-    )
-    pipeline.thinks_at_once = False
+    samples = choice.samples(bundles, config.filter, clock)
+    models, ahead_s = [one.model for one in bundles], 0.0 if recorded else EXTRAPOLATE_S
+    pipeline = Pipeline(config, skins, models, samples, on_poses, calibrations, ahead_s)
     return Prepared(config, skins, bundles, pipeline)
 
 

@@ -1,7 +1,7 @@
 """What a run publishes: each result of its pipeline, and by the clock what is due without one."""
 
-import io
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,10 +11,9 @@ from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Estimate
 from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import Why
-from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Outcome
 from taxeld.proposals import bundle
 from taxeld.service.inputs import Inputs
-from taxeld.service.latency import Latencies
 from taxeld.service.notices import Notices
 from taxeld.service.prepare import Prepared
 from taxeld.skin.patches import Patches
@@ -23,7 +22,7 @@ from taxeld.stream.link import Link
 
 PARTICLES_HZ = 20.0
 HEALTH_S = 1.0
-MEMORY_S = 1.0  # time between two handings-over of what was felt, at least
+LAST = 4096  # scans of whose durations there are percentiles: minutes
 
 
 @dataclass(slots=True)
@@ -38,59 +37,60 @@ class Publisher:
     """Sends messages to subscribers, answers `status` and logs what has changed."""
 
     def __init__(self, made: Prepared, inputs: Inputs, link: Link, counters: LoopCounters) -> None:
-        self.latencies = Latencies()
         self.seq = 0  # number of the last estimate
+        self.scans = 0  # that were worked on to their end
         config = made.config
         self.estimate_s = 1.0 / config.publish.rate_hz if made.bundles else HEALTH_S
         self._config, self._pipeline, self._link = config, made.pipeline, link
         self._inputs, self._counters = inputs, counters
-        self._has_object = bool(made.bundles)
         self._names = tuple(bundle.scenes(made.bundles))
         self._patches = [
             Patches(layout, one.skin.full_scale_depth_m)
             for one, layout in zip(config.each, made.layouts, strict=True)
         ]
-        proposal = made.pipeline.samples.name if made.bundles else ""
-        self._notices = Notices(self._names, proposal, [one.path for one in made.bundles])
-        self._publish_us = 0.0  # time of sending the last estimate [µs]
+        self._notices = Notices(made, self._names)
+        self._total_us: deque[float] = deque(maxlen=LAST)  # durations of scans
+        self._longest_us = self._publish_us = 0.0  # since start; of sending the last estimate
         self._next_particles_s = self._next_estimate_s = self._next_health_s = 0.0
-        self._told: Estimate | None = None  # the estimate published last
-        self._remembered, self._next_memory_s = (0, 0), 0.0
+        self._published: Estimate | None = None  # the last
         self._why = Why.STARTING  # why that one is not valid
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
 
     def ready(self) -> None:
         """Log that all is open and warm."""
-        layout = self._pipeline.skin.layout
-        self._notices.ready(self._config, layout, self._inputs.source.waits_for)
+        self._notices.ready(self._inputs.sources[0].waits_for)
 
     def outcome(self, outcome: Outcome, source_us: float, start_ns: int, now_s: float) -> int:
         """Publish the outcome of a scan, on which work began at `start_ns`; → the time now, on
         `perf_counter_ns` as well."""
-        begin_ns = time.perf_counter_ns()
-        # time of the publication before this one, which is not over yet
-        publish_us = self._publish_us
-        total_us = (begin_ns - start_ns) / 1000.0 + publish_us
-        lat_us = _stages_us(outcome) | {
-            "source": source_us,
-            "publish": publish_us,
-            "total": total_us,
-        }
-        is_used = outcome.is_used and self._has_object
-        if is_used or self._is_news(outcome.estimate):
-            self._send_estimate(lat_us, now_s)
-        is_read = self._pipeline.freshness.links[outcome.link].last is not Why.SCANS_MISTIMED
-        if self._config.publish.counts and is_read and self._link.wants(messages.COUNTS):
-            t, raw = outcome.estimate.t, self._pipeline.stages[outcome.link].skin.counts
-            told = messages.counts(t, raw, self.seq, outcome.link)
-            self._link.send(messages.COUNTS, told, t)
-        if outcome.activation is not None:
-            self._send_activation(outcome.activation, outcome.sensor, now_s, outcome.link)
-        self.latencies.add(total_us)
+        begin_ns, link, t = time.perf_counter_ns(), self._link, outcome.estimate.t
+        stage, activation = self._pipeline.stages[outcome.link], outcome.activation
+        # `publish` is the previous message's: this one is not sent yet
+        total_us = (begin_ns - start_ns) / 1000.0 + self._publish_us
+        lat_us = {"source": source_us, "publish": self._publish_us, "total": total_us}
+        if (outcome.is_used and self._names) or self._is_news(outcome.estimate):
+            self._send_estimate(_stages_us(outcome) | lat_us, now_s)
+        is_read = stage.fresh.last is not Why.SCANS_MISTIMED
+        if self._config.publish.counts and is_read and link.wants(messages.COUNTS):
+            told = messages.counts(t, stage.skin.counts, self.seq, outcome.link)
+            link.send(messages.COUNTS, told, t)
+        if activation is not None:
+            self._send_activation(activation, outcome.sensor, now_s, outcome.link)
+        self._took(total_us)
         end_ns = time.perf_counter_ns()
         self._publish_us = (end_ns - begin_ns) / 1000.0
         return end_ns
+
+    def _took(self, total_us: float) -> None:
+        self.scans += 1
+        self._total_us.append(total_us)
+        self._longest_us = max(self._longest_us, total_us)
+
+    def percentiles(self) -> dict[str, float]:
+        """Durations of the last scans [µs], and the longest since start; zeros before any."""
+        p50, p99 = np.percentile(self._total_us or [0.0], (50, 99)).tolist()
+        return {"p50": p50, "p99": p99, "max": self._longest_us}
 
     def thought(self, outcome: Outcome, now_s: float) -> None:
         """Publish the estimate again, which a second opinion has improved."""
@@ -99,9 +99,9 @@ class Publisher:
     def send_due(self, now_s: float) -> bool:
         """Publish without a scan: an estimate whose status has changed or whose time has come; →
         whether health is due as well."""
-        if self._is_news(self._estimate(now_s)) or now_s >= self._next_estimate_s:
+        estimate = self._pipeline.estimate_at(now_s)
+        if self._is_news(estimate) or now_s >= self._next_estimate_s:
             self._send_estimate(dict.fromkeys(messages.STAGES, 0.0), now_s)
-        self._remember(now_s)
         return now_s >= self._next_health_s
 
     def health(self, health: dict[str, Any], now_s: float) -> None:
@@ -109,32 +109,14 @@ class Publisher:
         self._next_health_s = now_s + HEALTH_S
         self._health_sent = health
         self._link.send(messages.HEALTH, health, health["t"])
-        for k, stage in enumerate(self._pipeline.stages):
-            fault = "" if k else self._inputs.watch.fault
-            name, match = self._config.names[k], stage.fresh.is_whole
-            self._notices.inputs(fault, stage.skin.wiring, match=match, link=name)
-        whys = self._pipeline.freshness.of_links(now_s)
-        self._notices.links(dict(zip(self._config.names, whys, strict=True)))
+        self._notices.inputs(self._inputs.watch.fault, now_s)
         self._link.tell(self._state())
-
-    def _remember(self, now_s: float) -> None:
-        """Hand over what was felt, once it has changed and nothing is touched."""
-        if not self._has_object or self._pipeline.is_touched or now_s < self._next_memory_s:
-            return
-        estimator = self._pipeline.estimator
-        key = estimator.history.changes, estimator.counters.updates
-        if key == self._remembered:
-            return
-        self._remembered, self._next_memory_s = key, now_s + MEMORY_S
-        packed = io.BytesIO()
-        np.savez(packed, allow_pickle=False, **estimator.memory)
-        self._link.remember(packed.getvalue())
 
     def status_line(self, now_s: float) -> str:
         """For the service manager."""
         if all(source.waits_for for source in self._inputs.sources):
-            return f"waiting, {self._inputs.source.waits_for}"
-        estimate = self._estimate(now_s)
+            return f"waiting, {self._inputs.sources[0].waits_for}"
+        estimate = self._pipeline.estimate_at(now_s)
         sure = "not valid" if self._why else f"p {estimate.p:.1%}"
         line = f"{estimate.status.name.lower()}, {sure}"
         return f"{line}, contacts {estimate.contacts}, overruns {self._counters.overruns}"
@@ -156,23 +138,21 @@ class Publisher:
     def _reason(self) -> str:
         """Why the estimate published last is not valid, and the cure; empty where it is."""
         facts = {Why.NO_SCAN: self._inputs.waits_for, Why.NO_POSE: self._inputs.watch.fault}
-        estimate, fact = self._told or self._pipeline.estimate, facts.get(self._why, "")
+        estimate, fact = self._published or self._pipeline.estimate, facts.get(self._why, "")
         return self._pipeline.freshness.sentence(self._why, estimate, fact)
 
-    def _estimate(self, now_s: float) -> Estimate:
-        """The estimate as published at the time `now_s`."""
-        return self._pipeline.freshness.judged(self._pipeline.estimate, now_s)
-
     def _is_news(self, estimate: Estimate) -> bool:
-        told = self._told
-        if told is None or told.status is not estimate.status:
+        """Whether its status, or the belief in an object, is another than was published."""
+        last = self._published
+        if last is None or last.status is not estimate.status:
             return True
-        return told.t != estimate.t and self._has_object
+        return last.t != estimate.t and bool(self._names)
 
     def _send_estimate(self, lat_us: dict[str, float], now_s: float) -> None:
         self.seq += 1
-        wall_s, freshness, estimate = time.time(), self._pipeline.freshness, self._estimate(now_s)
-        self._told, self._next_estimate_s = estimate, now_s + self.estimate_s
+        wall_s, freshness = time.time(), self._pipeline.freshness
+        estimate = self._published = self._pipeline.estimate_at(now_s)
+        self._next_estimate_s = now_s + self.estimate_s
         before, self._why = self._why, freshness.why(estimate, now_s)
         if self._why is not before:
             self._link.tell(self._state())
@@ -202,8 +182,8 @@ class Publisher:
             patches.on_scan(activation.z)
             told = messages.contacts(t, patches, sensor, self.seq, number)
             link.send(messages.CONTACTS, told, t)
-        due = self._pipeline.estimate.contact and now_s >= self._next_particles_s
-        if due and self._has_object and link.wants(messages.PARTICLES):
+        is_due = now_s >= self._next_particles_s and link.wants(messages.PARTICLES)
+        if is_due and self._names and self._pipeline.estimate.contact:
             self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
             belief = self._pipeline.estimator.rule.belief
             cloud = messages.particles(t, self.seq, belief.pose, belief.weight)

@@ -13,10 +13,8 @@ import numpy as np
 from taxeld.commands.record import Recording
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
-from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import PoseTrack
-from taxeld.proposals import bundle, choice
+from taxeld.service.prepare import prepared
 from taxeld.source import session
 from taxeld_hil.calibration.calibrate import LEAST_PRESSES, covered, sides
 from taxeld_hil.calibration.observer import Observer, uncalibrated
@@ -50,11 +48,7 @@ class Guided:
                 "sensor_pose.endpoint: is empty; a calibration needs the robot's poses"
             )
         config = uncalibrated(config)
-        skins = [layouts.load(config.skin.layout)]
-        (scene,) = bundle.load_all(config.scene, skins, config.skin.full_scale_depth_m)
-        config = bundle.sized(config, [scene.manifest])
-        samples = choice.samples([scene], config.filter)
-        self._pipeline = Pipeline(config, skins, [scene.model], samples)
+        self._pipeline = prepared(config, time.time()).pipeline
         self._observer = Observer(self._pipeline)
         self._recording = Recording(config, config_path, directory)
         self._directory = directory

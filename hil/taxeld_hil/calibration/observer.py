@@ -9,8 +9,7 @@ from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.model.observation import ObservationModel
-from taxeld.pipeline.outcome import Outcome
-from taxeld.pipeline.pipeline import Pipeline
+from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld_hil.calibration import presses
 from taxeld_hil.calibration.presses import Presses
 

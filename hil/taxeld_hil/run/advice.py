@@ -8,7 +8,7 @@ from taxeld.advice.advice import Advice
 from taxeld.commands.advise import Adviser, remembered
 from taxeld.config.file import load
 from taxeld.errors import SetupError
-from taxeld.service.publisher import MEMORY_S
+from taxeld.service.kept import MEMORY_S
 from taxeld_hil.scenario.settings import REACH
 
 PAUSE_S = 0.1  # between two questions

@@ -9,8 +9,7 @@ from typing import Any
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout.layout import Layout
-from taxeld.pipeline.outcome import Outcome
-from taxeld.pipeline.pipeline import Pipeline
+from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration
@@ -76,21 +75,20 @@ class FakeDaemon:
 
     def estimate(self, t: float) -> Estimate:
         """The estimate as it would be published now."""
-        return self.pipeline.freshness.judged(self.pipeline.estimate, t)
+        return self.pipeline.estimate_at(t)
 
     def health(self, t: float) -> dict[str, Any]:
         """The part of /taxeld/health that the harness reads."""
         parts: dict[str, Any] = {
             "uptime_s": t - self._start_s,
             "source": self.source.wire.stats(),
-            "inputs": {**self.pipeline.stages[0].counts(), "poses_malformed": 0},
             **self.pipeline.health(),
         }
+        parts["inputs"]["poses_malformed"] = 0
         if len(self.pipeline.stages) > 1:
             names, stages = self.pipeline.config.names, self.pipeline.stages
             parts["links"] = {
-                name: {"inputs": stage.counts(), **stage.health()}
-                for name, stage in zip(names, stages, strict=True)
+                name: stage.health() for name, stage in zip(names, stages, strict=True)
             }
             for bus in self.buses:  # of links that share one, the first tells
                 parts["links"][names[bus.links[0]]]["source"] = bus.source.wire.stats()
