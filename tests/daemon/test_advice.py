@@ -37,7 +37,7 @@ def asked(subject: Estimator, reach: Reach = FREE) -> Advice:
 
 
 def drawn(subject: Estimator, seed: int = 0) -> hypotheses.Guesses:
-    return hypotheses.drawn(subject, 24, 16, np.random.default_rng(seed))
+    return hypotheses.drawn(subject, np.random.default_rng(seed))
 
 
 def touched(model: ObservationModel, angles: Sequence[float]) -> Estimator:
@@ -260,7 +260,7 @@ def test_what_two_objects_would_be_told_apart_by_is_worth_a_touch(skin: Layout) 
     approach(subject, models[0])
     found = drawn(subject)
     assert found.objects == [0, 1]
-    apart = Outcomes(subject, found.weighed)
+    apart = Outcomes(subject, found)
     assert apart.now_m > 0.0
     assert asked(subject).approaches[0].gain > 0.0
 

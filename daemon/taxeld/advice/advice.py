@@ -18,10 +18,9 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
-from taxeld.estimator.news import MOTION_M
 from taxeld.estimator.verdict import UNMODELLED_M
 
-AT_ONCE = 24  # lines whose travel is found at once: they stay in the cache
+TRIED = 8  # lines that are judged by what would be read
 MOST = 3  # approaches of an advice
 
 
@@ -39,11 +38,6 @@ class Approach:
     gain: float  # m that it saves beside the mean line: of expected error, and 2 mm for a miss
     p_touch: float  # probability that it touches anything
 
-    def is_at(self, sensor: Poses, link: int) -> bool:
-        """Whether a link at `sensor` (3,) is where contact is expected, whichever way it faces."""
-        x, y, _ = sensor - self.at
-        return link == self.link and float(np.hypot(x, y)) < MOTION_M
-
 
 @dataclass(frozen=True, slots=True)
 class Advice:
@@ -54,37 +48,25 @@ class Advice:
     is_enough: bool  # the estimate is sure, and no touch would tell more
 
 
-@dataclass(frozen=True, slots=True)
-class Effort:
-    """How much work an advice is."""
-
-    own: int = 24  # hypotheses from the belief
-    fresh: int = 16  # hypotheses beside it
-    tried: int = 8  # lines that are judged by what would be read
-
-
 class Advisor:
     """Advises by an estimator's belief."""
 
-    def __init__(
-        self, estimator: Estimator, reach: Reach | None = None, effort: Effort | None = None
-    ) -> None:
+    def __init__(self, estimator: Estimator, reach: Reach | None = None) -> None:
         """Raises SetupError where the estimator has the paper's rule, which remembers nothing."""
         if not isinstance(estimator.rule, Mixture):
             raise SetupError("advice: needs the memory of filter.injection = 'mixture'")
         self._estimator, self._reach = estimator, reach or Reach()
-        self._effort = effort or Effort()
 
     def advise(self) -> Advice:
         """Advice on the present belief."""
-        estimator, effort = self._estimator, self._effort
+        estimator = self._estimator
         contacts = estimator.estimate.contacts
-        rng = np.random.default_rng((estimator.config.seed, contacts))
-        found = hypotheses.drawn(estimator, effort.own, effort.fresh, rng)
-        outcomes = Outcomes(estimator, found.weighed)
-        judged: list[tuple[float, Approach]] = []
-        for link in range(len(estimator.model.links)):
-            judged += self._judged(found, outcomes, link)
+        found = hypotheses.drawn(
+            estimator, np.random.default_rng((estimator.config.seed, contacts))
+        )
+        outcomes = Outcomes(estimator, found)
+        links = range(len(estimator.model.links))
+        judged = [each for link in links for each in self._judged(found, outcomes, link)]
         judged.sort(key=lambda each: each[0])
         best = tuple(approach for _, approach in judged[:MOST])
         is_sure = estimator.estimate.status == Status.CONVERGED
@@ -94,20 +76,13 @@ class Advisor:
 
     def _judged(self, of: Guesses, outcomes: Outcomes, link: int) -> list[tuple[float, Approach]]:
         """The expected errors that are left, and the approaches, of a link's best lines."""
-        fan, free, ways, left = self.fan(of, link), list[Lines](), list[Floats](), list[Floats]()
-        for at in range(0, len(fan), AT_ONCE):
-            some, way = self.free(fan.only(slice(at, at + AT_ONCE)), of)
-            free.append(some)
-            ways.append(way)
-            left.append(outcomes.by_travel(way[:, of.modes :]))
-        cost = np.concatenate([np.empty(0), *left])
-        where = [(block, row) for block, some in enumerate(free) for row in range(len(some))]
+        free, ways = self.free(self.fan(of, link), of)
+        cost = outcomes.by_travel(ways)
         judged = []
-        for c in np.argsort(cost)[: self._effort.tried].tolist():
-            block, row = where[c]
-            line, way = free[block].only(slice(row, row + 1)), ways[block][row]
-            told = outcomes.by_reading(line, way[of.modes :], self._depth_m(link))
-            judged.append((told.cost_m, self._approach(line, way, of, told, float(cost.mean()))))
+        for c in np.argsort(cost)[:TRIED].tolist():
+            line = free.only(slice(c, c + 1))
+            told = outcomes.by_reading(line, ways[c], self._depth_m(link))
+            judged.append((told.cost_m, self._approach(line, ways[c], of, told, cost.mean())))
         return judged
 
     def fan(self, of: Guesses, link: int) -> Lines:
@@ -167,6 +142,6 @@ class Advisor:
             float(line.direction[0]),
             self._depth_m(line.link),
             told.sure * (1.0 - self._estimator.estimate.hypotheses.other),
-            mean_m - told.cost_m,
+            float(mean_m - told.cost_m),
             float(of.weight[touched].sum()),
         )

@@ -15,6 +15,7 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.particles import Belief
 
 DOUBT = 0.5  # weight of all that are beside it, at most: as much as the estimate is in doubt
+OWN, FRESH = 24, 16  # guesses from the belief, and beside it
 TEMPER = 0.3  # power of the likelihood by which these are drawn
 GROUPS, GROUP = 3, 32  # of samples, and how many are brought there at once
 
@@ -30,20 +31,13 @@ class Guesses:
     modes: int
 
     @property
-    def weighed(self) -> "Guesses":
-        """All but the modes."""
-        return Guesses(
-            self.pose[self.modes :], self.object[self.modes :], self.weight[self.modes :], 0
-        )
-
-    @property
     def objects(self) -> list[int]:
         """The numbers of all objects among them."""
         return sorted(set(self.object.tolist()))
 
 
-def drawn(estimator: Estimator, own: int, fresh: int, rng: np.random.Generator) -> Guesses:
-    """Guesses of the present belief: `own` of its particles, and `fresh` ones."""
+def drawn(estimator: Estimator, rng: np.random.Generator) -> Guesses:
+    """Guesses of the present belief: OWN of its particles, and FRESH ones."""
     bank = estimator.bank
     likely = bank.likely
     share = bank.objects[likely] / bank.objects[likely].sum()
@@ -57,11 +51,11 @@ def drawn(estimator: Estimator, own: int, fresh: int, rng: np.random.Generator) 
         weights.append(np.full(n, weight / n))
 
     for k, of in zip(likely, share.tolist(), strict=True):
-        add(k, bank.rules[k].belief, round(own * of), (1.0 - doubt) * of)
+        add(k, bank.rules[k].belief, round(OWN * of), (1.0 - doubt) * of)
         other = _fresh(estimator, k, rng)
         if other is not None:
             # as likely as the belief is wrong, whichever object it is of
-            add(k, other, fresh // len(likely), doubt / len(likely))
+            add(k, other, FRESH // len(likely), doubt / len(likely))
     modes = estimator.estimate.modes
     weight = np.concatenate(weights)
     return Guesses(

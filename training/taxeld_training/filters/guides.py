@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from taxeld.advice import hypotheses
-from taxeld.advice.advice import Advisor, Approach, Effort
+from taxeld.advice.advice import Advisor, Approach
 from taxeld.advice.lines import PAST_M, Lines, Reach
 from taxeld.arrays import Floats
 from taxeld.estimator.estimator import Estimator
@@ -39,8 +39,7 @@ class Guide:
         return advice.approaches[0] if advice.approaches else None
 
     def _line(self) -> Approach | None:
-        effort = Effort()
-        found = hypotheses.drawn(self._estimator, effort.own, effort.fresh, self._rng)
+        found = hypotheses.drawn(self._estimator, self._rng)
         fan = self._advisor.fan(found, 0)
         free, ways = self._advisor.free(fan, found)
         if not len(free):
