@@ -17,7 +17,6 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.bank import Known
-from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.mixture import Mixture
@@ -148,19 +147,6 @@ def test_a_link_goes_on_until_its_press_is_felt_and_no_farther(
                 assert gap[travel_m < way[c, k] - 1e-3].min(initial=1.0) > -FELT_M - 1e-3
 
 
-def test_a_round_body_whose_handle_was_not_met_is_to_be_swept_past_not_pressed_again(
-    handled_model: ObservationModel,
-) -> None:
-    """The middle of the body is known, so a press towards it tells one side; a line beside it
-    meets the handle on a third of all turns."""
-    subject = touched(handled_model, (2.0, 3.1, 4.2))
-    best, *_ = asked(subject).approaches
-    off = best.before[:2] - subject.rule.metric.centres(subject.estimate.map)
-    beside_m = abs(np.cos(best.direction) * off[1] - np.sin(best.direction) * off[0])
-    assert beside_m > 0.02
-    assert best.gain > 0.0
-
-
 def test_following_the_advice_finds_a_handle_that_the_first_touch_did_not_meet(
     handled_model: ObservationModel,
 ) -> None:
@@ -186,18 +172,6 @@ def test_advice_changes_no_estimate(box_model: ObservationModel) -> None:
     assert alone.estimate.proposal == advised.estimate.proposal
 
 
-def test_the_same_belief_is_given_the_same_advice(box_model: ObservationModel) -> None:
-    subject = touched(box_model, (0.2, 2.9))
-    assert str(asked(subject)) == str(asked(subject))
-
-
-def test_where_the_estimate_is_sure_no_touch_tells_more(box_model: ObservationModel) -> None:
-    _, subject = settled(box_model)
-    assert subject.estimate.status is Status.CONVERGED
-    assert asked(subject).is_enough
-    assert not asked(touched(box_model, (0.2,))).is_enough
-
-
 def test_what_no_touch_can_tell_is_no_reason_for_another_one(
     box_model: ObservationModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,37 +182,33 @@ def test_what_no_touch_can_tell_is_no_reason_for_another_one(
     off = np.random.default_rng(0).standard_normal(rule.belief.pose.shape)
     rule.belief.pose = TRUTH + off * (0.0011, 0.0011, 0.01)
     assert asked(subject).is_enough
+    assert not asked(touched(box_model, (0.2,))).is_enough
     monkeypatch.setattr("taxeld.advice.advice.UNMODELLED_M", 5e-4)
     assert not asked(subject).is_enough
 
 
-def test_a_link_that_reaches_nothing_is_advised_nothing(box_model: ObservationModel) -> None:
-    far = Reach(box_m=(5.0, 6.0, 5.0, 6.0))
-    found = asked(touched(box_model, (0.2,)), far)
-    assert found.approaches == ()
-    assert not found.is_enough
+def test_an_advice_keeps_to_what_the_robot_can_do(box_model: ObservationModel) -> None:
+    untouched, subject = asked(estimator(box_model)), touched(box_model, (0.2, 1.5))
+    assert (untouched.contacts, len(untouched.approaches)) == (0, MOST)
+    nothing = asked(subject, Reach(box_m=(5.0, 6.0, 5.0, 6.0)))
+    assert (nothing.approaches, nothing.is_enough, untouched.is_enough) == ((), False, False)
+    found = asked(subject, Reach(directions_deg=(30.0, 210.0), depth_m=0.05)).approaches
+    assert {round(float(np.degrees(one.direction))) for one in found} <= {30, 210}
+    assert {one.depth_m for one in found} == {DEPTH_MAX_M}, "no deeper than the skin can tell"
 
 
-def test_before_any_touch_the_whole_table_is_searched(box_model: ObservationModel) -> None:
-    found = asked(estimator(box_model))
-    assert found.contacts == 0
-    assert len(found.approaches) == MOST
-    assert not found.is_enough
-
-
-def test_named_directions_are_the_only_ones(box_model: ObservationModel) -> None:
-    config = Reach(directions_deg=(30.0, 210.0))
-    found = asked(touched(box_model, (0.2, 1.5)), config)
-    turned = {round(float(np.degrees(one.direction))) for one in found.approaches}
-    assert turned
-    assert turned <= {30, 210}
-
-
-def test_a_press_is_no_deeper_than_the_skin_can_tell(box_model: ObservationModel) -> None:
-    deep = Reach(depth_m=0.05)
-    assert {one.depth_m for one in asked(touched(box_model, (0.2,)), deep).approaches} == {
-        DEPTH_MAX_M
-    }
+def test_hypotheses_hold_every_mode_and_a_place_that_the_belief_has_lost(
+    box_model: ObservationModel,
+) -> None:
+    subject = touched(box_model, (0.2, 1.5))
+    found, modes = drawn(subject), [mode.pose for mode in subject.estimate.modes]
+    np.testing.assert_array_equal(found.pose[: found.modes], modes)
+    assert found.weight.sum() == pytest.approx(1.0)
+    assert found.weight[: found.modes].sum() == 0.0
+    rule = subject.rule
+    assert isinstance(rule, Mixture)
+    rule.belief.pose = rule.belief.pose + np.array([0.1, 0.0, 0.0])
+    assert (rule.metric.distance(drawn(subject).pose, TRUTH) < 0.01).any()
 
 
 def test_the_rule_of_the_paper_remembers_nothing_so_it_is_refused(
@@ -263,25 +233,6 @@ def test_what_two_objects_would_be_told_apart_by_is_worth_a_touch(skin: Layout) 
     apart = Outcomes(subject, found)
     assert apart.now_m > 0.0
     assert asked(subject).approaches[0].gain > 0.0
-
-
-def test_hypotheses_weigh_one_and_hold_every_mode(box_model: ObservationModel) -> None:
-    subject = touched(box_model, (0.2, 1.5))
-    found = drawn(subject)
-    modes = [mode.pose for mode in subject.estimate.modes]
-    np.testing.assert_array_equal(found.pose[: found.modes], modes)
-    assert found.weight.sum() == pytest.approx(1.0)
-    assert found.weight[: found.modes].sum() == 0.0
-
-
-def test_a_lost_place_is_among_the_hypotheses_again(box_model: ObservationModel) -> None:
-    """A belief that has collapsed far from where the contacts are explained."""
-    subject = touched(box_model, (0.2, 1.5))
-    rule = subject.rule
-    assert isinstance(rule, Mixture)
-    rule.belief.pose = rule.belief.pose + np.array([0.1, 0.0, 0.0])
-    near = rule.metric.distance(drawn(subject).pose, TRUTH) < 0.01
-    assert near.any()
 
 
 @pytest.mark.parametrize("is_compiled", [True, False])

@@ -1,8 +1,10 @@
 """Faults of honest life on a daemon as a process: no scan is lost, and its recording tells all."""
 
 import contextlib
+import json
 import os
 import shutil
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -13,26 +15,76 @@ import msgpack
 import pytest
 import zmq
 
-from tests.rig.clocks import PATIENCE_S
-from tests.system.touched import Touched, touched
+from taxeld.stream import client
+from tests.rig.clocks import PATIENCE_S, until
+from tests.rig.configurations import configuration
+from tests.rig.processes import TAXELD, door_of, replayed
+from tests.rig.recorded import LiveSkin
 
 pytestmark = pytest.mark.check
 
-LOSSES = 2
 NEAR = 1e-6  # a recording keeps the microseconds of a scan's time, and no less
 
 
-class Heard:
-    """Estimates that a subscriber heard."""
+class Skin(LiveSkin):
+    """A skin that is touched all the time, and does as it is told: `serve`, `away` or `quiet`."""
 
-    def __init__(self, endpoint: str) -> None:
-        self._opened = contextlib.ExitStack()
-        context = self._opened.enter_context(zmq.Context())
-        self._socket = self._opened.enter_context(context.socket(zmq.SUB))
-        self._socket.linger = 0
+    does = "serve"
+
+    def run(self) -> None:
+        did = self.does
+        with self._hub as hub:
+            while not self._stops.wait(0.002):
+                if self.does != did:
+                    if self.does == "away":
+                        hub.unplug()
+                    elif did == "away":
+                        hub.plug()
+                    did = self.does
+                if did == "serve":
+                    hub.serve(time.monotonic(), lambda k: self._scans[k])
+                elif did == "quiet":
+                    hub.answer(time.monotonic())
+
+    @property
+    def sent(self) -> int:
+        """How many scans it has sent."""
+        return self._hub.scans
+
+
+class Recorded:
+    """`taxeld run` with a recording, its skin, and a subscriber."""
+
+    def __init__(self, place: Path, session: Path | None, before: str, skin: Skin) -> None:
+        """`before`: what the shell does first."""
+        self.skin, self.session = skin, session or place / "session"
+        self._log, self._control = place / "log", f"ipc://{place}/control"
+        few = {"proposal": "manifold"}
+        config = configuration(place, source=skin.source, filter=few)
+        shell = ["sh", "-c", f'{before}\nexec "$@"', "sh", *TAXELD, "run", str(config)]
+        with self._log.open("wb") as log:
+            self.process = subprocess.Popen(
+                [*shell, "--record", str(self.session)], stdout=log, stderr=log
+            )
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
         self._socket.subscribe(b"/taxeld/estimate")
-        self._socket.connect(endpoint)
+        self._socket.connect(f"ipc://{place}/stream")
         self.estimates: list[dict[str, Any]] = []
+
+    @property
+    def log(self) -> str:
+        return self._log.read_text(encoding="utf-8")
+
+    def status(self) -> dict[str, Any] | None:
+        answer = client.ask(self._control, "status")
+        return answer if answer and answer.get("health") else None
+
+    def health(self) -> dict[str, Any]:
+        return until(self.status)["health"]  # type: ignore[no-any-return]
+
+    def until_touched(self) -> None:
+        until(lambda: (self.status() or {"estimate": {}})["estimate"].get("contacts"))
 
     def listen(self, seconds: float) -> None:
         until_s = time.monotonic() + seconds
@@ -40,66 +92,82 @@ class Heard:
             if self._socket.poll(1000.0 * left_s):
                 self.estimates.append(msgpack.unpackb(self._socket.recv_multipart()[1]))
 
-    def last_of_scans(self) -> Iterator[dict[str, Any]]:
-        """Of each scan the last estimate, where it is certain that no later one was missed."""
-        for one, following in zip(self.estimates, self.estimates[1:], strict=False):
-            if following["seq"] == one["seq"] + 1 and following["t"] != one["t"]:
-                yield one
+    def until_logged(self, line: str) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while line not in self.log:
+            assert time.monotonic() < deadline, self.log
+            self.listen(0.2)
+
+    def stop(self, *, whole: bool = True) -> int:
+        """Have the skin fall silent, and then end the daemon; → the scans that the skin has sent.
+        `whole`: all of them are waited for."""
+        self.skin.does = "quiet"
+        time.sleep(0.1)
+        if whole:
+            until(lambda: self.health()["source"]["scans"] >= self.skin.sent)
+        self.process.terminate()
+        assert self.process.wait(PATIENCE_S) == 0, self.log
+        return self.skin.sent
+
+    def replay(self) -> list[dict[str, Any]]:
+        """An estimate for each scan of the recording."""
+        return [json.loads(line) for line in replayed(self.session).splitlines()]
+
+    def check_replayed(self, again: list[dict[str, Any]]) -> int:
+        """What was heard last of a scan is what the recording replays to; → of how many scans."""
+        by_time = {round(1e6 * estimate["t"]): estimate for estimate in again}
+        pairs = zip(self.estimates, self.estimates[1:], strict=False)
+        last = [a for a, b in pairs if b["seq"] == a["seq"] + 1 and b["t"] != a["t"]]
+        last = [told for told in last if round(1e6 * told["t"]) in by_time]
+        for told in last:
+            found = by_time[round(1e6 * told["t"])]
+            assert told["contacts"] == found["contacts"]
+            for pose in ("map", "mean"):
+                assert told[pose] == pytest.approx(found[pose], abs=NEAR)
+            assert told["ess"] == pytest.approx(found["ess"], rel=NEAR)
+        return len(last)
 
     def close(self) -> None:
-        self._opened.close()
+        self.process.kill()
+        self.process.wait()
+        self._context.destroy(linger=0)
 
 
 @contextlib.contextmanager
-def heard(daemon: Touched) -> Iterator[Heard]:
-    with contextlib.closing(Heard(daemon.stream)) as made:
+def recorded(place: Path, session: Path | None = None, before: str = "") -> Iterator[Recorded]:
+    with (
+        Skin(place, touches=400) as skin,
+        contextlib.closing(Recorded(place, session, before, skin)) as made,
+    ):
         yield made
 
 
-def check_replayed(heard: Heard, replayed: list[dict[str, Any]]) -> int:
-    """What was heard is what the recording replays to; → of how many scans."""
-    by_time = {round(1e6 * estimate["t"]): estimate for estimate in replayed}
-    last = [e for e in heard.last_of_scans() if round(1e6 * e["t"]) in by_time]
-    for told in last:
-        again = by_time[round(1e6 * told["t"])]
-        assert told["contacts"] == again["contacts"]
-        for pose in ("map", "mean"):
-            assert told[pose] == pytest.approx(again[pose], abs=NEAR)
-        assert told["ess"] == pytest.approx(again["ess"], rel=NEAR)
-    return len(last)
-
-
 def test_a_door_that_is_killed_each_second_costs_no_scan_and_no_record(tmp_path: Path) -> None:
-    with touched(tmp_path) as daemon, heard(daemon) as subscriber:
+    with recorded(tmp_path) as daemon:
         daemon.until_touched()
         for _ in range(4):
-            daemon.kill_door()
-            subscriber.listen(1.0)
-        health = daemon.health()
-        sent = daemon.stop()
-        replayed = daemon.replay()
-    assert health["door"]["starts"] > 2
-    assert len(replayed) == sent > 80
-    assert check_replayed(subscriber, replayed) > 10
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(door_of(daemon.process.pid) or daemon.process.pid + 1, signal.SIGKILL)
+            daemon.listen(1.0)
+        assert daemon.health()["door"]["starts"] > 2
+        sent, again = daemon.stop(), daemon.replay()
+    assert len(again) == sent > 80
+    assert daemon.check_replayed(again) > 10
     assert "cut" not in daemon.log
 
 
 def test_a_device_that_goes_each_second_is_opened_again(tmp_path: Path) -> None:
-    with touched(tmp_path) as daemon, heard(daemon) as subscriber:
+    with recorded(tmp_path) as daemon:
         daemon.until_touched()
-        door = daemon.door()
-        for _ in range(LOSSES):
-            daemon.tell_skin("unplug")
-            subscriber.listen(0.2)
-            daemon.tell_skin("plug")
-            subscriber.listen(1.0)
-        health = daemon.health()
-        assert daemon.door() == door
+        door = door_of(daemon.process.pid)
+        for losses in (1, 2):
+            daemon.skin.does = "away"
+            until(lambda n=losses: daemon.health()["source"]["lost"] == n)
+            daemon.skin.does = "serve"
+            daemon.listen(1.0)
+        assert door_of(daemon.process.pid) == door
         daemon.stop(whole=False)
-        replayed = daemon.replay()
-    assert health["source"]["lost"] == LOSSES
-    assert health["door"]["starts"] == 1
-    assert check_replayed(subscriber, replayed) > 10
+        assert daemon.check_replayed(daemon.replay()) > 10
 
 
 @pytest.fixture
@@ -115,53 +183,38 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(place)], check=True)
 
 
-def until_logged(daemon: Touched, subscriber: Heard, line: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while line not in daemon.log:
-        assert time.monotonic() < deadline, daemon.log
-        subscriber.listen(0.2)
-
-
 def test_while_the_disk_is_full_the_recording_alone_waits(tmp_path: Path, small_disk: Path) -> None:
     filling = small_disk / "filling"
-    with (
-        touched(tmp_path, session=small_disk / "session") as daemon,
-        heard(daemon) as subscriber,
-    ):
+    with recorded(tmp_path, small_disk / "session") as daemon:
         daemon.until_touched()
         subprocess.run(["dd", "if=/dev/zero", f"of={filling}"], capture_output=True, check=False)
-        until_logged(daemon, subscriber, "the recording waits")
-        before = len(subscriber.estimates)
-        subscriber.listen(1.0)
-        assert len(subscriber.estimates) > before
+        daemon.until_logged("the recording waits")
+        before = len(daemon.estimates)
+        daemon.listen(1.0)
+        assert len(daemon.estimates) > before
         filling.unlink()
-        until_logged(daemon, subscriber, "the recording goes on")
-        sent = daemon.stop()
-        replayed = daemon.replay()
-    assert len(replayed) == sent
-    assert check_replayed(subscriber, replayed) > 10
+        daemon.until_logged("the recording goes on")
+        sent, again = daemon.stop(), daemon.replay()
+    assert len(again) == sent
+    assert daemon.check_replayed(again) > 10
 
 
 def test_a_file_that_may_grow_no_more_ends_the_recording_alone(tmp_path: Path) -> None:
-    with (
-        touched(tmp_path, before="ulimit -f 64") as daemon,  # blocks of 512 or 1024 bytes
-        heard(daemon) as subscriber,
-    ):
+    with recorded(tmp_path, before="ulimit -f 64") as daemon:  # blocks of 512 or 1024 bytes
         daemon.until_touched()
-        until_logged(daemon, subscriber, "the recording has ended")
-        subscriber.listen(1.0)
-        status, replayed = daemon.status(), daemon.replay()
+        daemon.until_logged("the recording has ended")
+        daemon.listen(1.0)
+        status, again = until(daemon.status), daemon.replay()
         sent = daemon.stop()
-    assert status is not None
     assert status["health"]["recording"]["failed"]
-    assert status["estimate"]["t"] > replayed[-1]["t"] + 0.5
-    assert 20 < len(replayed) < sent
-    assert check_replayed(subscriber, replayed[:-1]) > 0
+    assert status["estimate"]["t"] > again[-1]["t"] + 0.5
+    assert 20 < len(again) < sent
+    assert daemon.check_replayed(again[:-1]) > 0
 
 
 def test_a_daemon_whose_standard_files_are_closed_serves(tmp_path: Path) -> None:
     """The pair, the device and a recording get their numbers then."""
-    with touched(tmp_path, before="exec 0<&- 1>&- 2>&-") as daemon:
+    with recorded(tmp_path, before="exec 0<&- 1>&- 2>&-") as daemon:
         daemon.until_touched()
         daemon.stop(whole=False)
         assert len(daemon.replay()) > 20
