@@ -1,6 +1,7 @@
 """Help, versions and missing packages: what a newcomer meets first."""
 
 import argparse
+import os
 import re
 import shlex
 import sys
@@ -12,6 +13,7 @@ import pytest
 from deploy import manuals
 
 from taxeld import __version__
+from taxeld.command_line import ONE_THREAD
 from taxeld.config import gone
 from taxeld_hil.scenario.mesh_config import FOAMS
 from taxeld_hil.scenario.scenario import shipped
@@ -41,17 +43,29 @@ ALL = [
 NAMES = [" ".join([program, *name]) for program, name, _ in ALL]
 
 
-@pytest.mark.parametrize("option", ["--help", "--version"])
+STARTED = """
+import os, sys
+from {module} import main
+try:
+    main(["--help"])
+except SystemExit:
+    pass
+print(*(os.environ[name] for name in {threads}), *sorted(sys.modules), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("given", ["1", "2"])
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_help_and_version_import_nothing_that_is_slow(program: str, option: str) -> None:
-    module = PROGRAMS[program].__name__
-    code = (
-        f"import sys; from {module} import main\n"
-        f"try: main([{option!r}])\nexcept SystemExit: pass\n"
-        "print(*sorted(sys.modules), file=sys.stderr)"
-    )
-    ran = python(code)
-    loaded = {name.split(".")[0] for name in ran.stderr.split()}
+def test_help_imports_nothing_that_is_slow_and_numpy_will_have_one_thread_unless_told_otherwise(
+    program: str, given: str
+) -> None:
+    """On a robot's computer other threads fight for the loop's core."""
+    environ = {key: value for key, value in os.environ.items() if key not in ONE_THREAD}
+    environ |= {ONE_THREAD[0]: given} if given != "1" else {}
+    code = STARTED.format(module=PROGRAMS[program].__name__, threads=ONE_THREAD)
+    *threads, first = python(code, env=environ).stderr.split(maxsplit=len(ONE_THREAD))
+    assert threads == [given, "1", "1"]
+    loaded = {name.split(".")[0] for name in first.split()}
     assert loaded & HEAVY == set()
     assert "argparse" in loaded
 
@@ -122,6 +136,16 @@ def test_each_command_tells_its_version(typed: str, capsys: pytest.CaptureFixtur
     assert capsys.readouterr().out == f"{__version__}\n"
 
 
+WITHOUT_MODULES = """
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {missing}:
+            raise ModuleNotFoundError(name, name=name)
+sys.meta_path.insert(0, Missing())
+from {module} import main
+sys.exit(main({typed}))
+"""
 WITHOUT = [
     ("taxeld-train", ["build", "x.stl", "--out", "{place}/x"], "train"),
     ("taxeld", ["view", "--save", "{place}/x"], "view"),
@@ -135,15 +159,8 @@ def test_a_missing_extra_is_one_line_that_names_the_command_that_installs_it(
     tmp_path: Path, program: str, arguments: list[str], extra: str
 ) -> None:
     typed = [one.format(place=tmp_path) for one in arguments]
-    code = (
-        "import sys\n"
-        "class Missing:\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        f"        if name.split('.')[0] in {EXTRAS[extra]!r}:\n"
-        "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
-        "sys.meta_path.insert(0, Missing())\n"
-        f"from {PROGRAMS[program].__name__} import main\n"
-        f"sys.exit(main({typed!r}))"
+    code = WITHOUT_MODULES.format(
+        missing=EXTRAS[extra], module=PROGRAMS[program].__name__, typed=typed
     )
     ran = python(code, check=False)
     assert ran.returncode == 2

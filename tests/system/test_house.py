@@ -12,6 +12,7 @@ from deploy import manuals
 from taxeld import __version__
 from taxeld.config import file as config_file
 from taxeld.proposals import bundle
+from tests import figures
 
 ROOT = Path(__file__).parents[2]
 
@@ -59,6 +60,37 @@ def test_what_is_to_be_installed_comes_from_the_clone_or_a_wheel_and_from_no_ind
         for line in lines:
             named = re.findall(r"(\S*)\[[a-z0-9,{}]+\]'", line)
             assert {one.strip("`'") for one in named} <= {".", "WHEEL"}, line
+
+
+def test_constants_of_the_estimators_page_have_the_values_that_it_says() -> None:
+    rows = 0
+    for line in (ROOT / "docs" / "estimator.md").read_text(encoding="utf-8").splitlines():
+        if not re.match(r"\| `\w+(\.\w+)*\.[A-Z]", line):
+            continue
+        rows, module, held = rows + 1, "", list[float]()
+        names, values, *_ = line.split("|")[1:]
+        for name in re.findall(r"`([\w.]+)`", names):  # `a.B`, `C` are both of a
+            *before, constant = name.split(".")
+            module = ".".join(before) or module
+            room = "" if "." in module else "estimator."
+            value = getattr(import_module(f"taxeld.{room}{module}"), constant)
+            held += value.tolist() if hasattr(value, "tolist") else [value]
+        parts = [part.partition(" ") for part in values.strip().split(", ")]
+        said = [float(number) * {"mm": 1e-3}.get(unit, 1.0) for number, _, unit in parts]
+        assert held == pytest.approx(said), names
+    assert rows > 5
+
+
+def test_figures_of_pages_are_filled_from_their_json_and_none_is_out_of_date(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    name = "works-misleading"
+    page = f"<!-- figures: {name} -->\nNone misleads.\n<!-- end of figures -->\n"
+    told = figures.filled(page)
+    assert figures.FIGURES[name]() in told != page
+    assert figures.filled(told) == told
+    assert [figures.share(n, 400) for n in (0, 1, 399, 400)] == ["0 %", "1 %", "99 %", "100 %"]
+    assert figures.main([]) == 0, capsys.readouterr().out
 
 
 def test_the_example_configuration_is_fine() -> None:
