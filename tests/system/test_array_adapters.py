@@ -25,7 +25,6 @@ from tests.ros2.loopback import DOMAIN, ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
 ADAPTERS = ROOT / "examples" / "adapters"
-LINES_MAX = 30  # of an adapter, beside its docstring, imports and empty lines
 FOREARM = ROOT.parent / "shared" / "data" / "icub_positions" / "left_forearm_V2.txt"
 
 
@@ -74,13 +73,6 @@ def running(name: str, *arguments: object) -> Iterator[None]:
             yield
         finally:
             process.kill()
-
-
-@pytest.mark.parametrize("path", sorted(ADAPTERS.glob("*.py")), ids=lambda path: path.stem)
-def test_an_adapter_is_short(path: Path) -> None:
-    _, _, code = path.read_text(encoding="utf-8").split('"""', 2)
-    own = [line for line in code.splitlines() if line and not line.startswith(("import", "from"))]
-    assert len(own) <= LINES_MAX
 
 
 PRESS = """<mujoco><option gravity="0 0 0"/>

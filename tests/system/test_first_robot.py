@@ -97,15 +97,6 @@ def test_the_guides_build_ends_with_what_it_shows(place: Path) -> None:
         assert said[0] == said[1]
 
 
-def test_the_guides_bundle_runs_in_the_harness(place: Path) -> None:
-    """The page's command, on the fake clock. The bundle was trained for seconds: it need not find
-    the object."""
-    ran = follow(shell(GUIDE, "taxeld-hil run") + " --clock fake", place)
-    assert ran.returncode in (0, 1), ran.stderr
-    assert re.search("^(passed|failed: .*)$", ran.stdout, re.MULTILINE)
-    assert "ok    accounts:" in ran.stdout
-
-
 def test_the_guides_commands_print_what_it_shows(place: Path) -> None:
     """In their order, as later ones use what earlier ones wrote. Numbers may differ; one of which
     nothing is shown ends well."""
@@ -153,11 +144,6 @@ def test_from_a_layout_to_a_graded_run_each_command_is_printed_by_the_one_before
         assert done.returncode == 0, done.stderr
     checked = follow("taxeld check robot.toml", tmp_path).stderr.splitlines()
     assert [line.partition(":")[0] for line in checked] == ["source.channel"], checked
-
-
-def test_the_guides_picture_is_that_of_its_command() -> None:
-    assert "](bracket.png)" in GUIDE.read_text(encoding="utf-8")
-    assert (ROOT / "docs" / "bracket.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -1,9 +1,8 @@
-"""Attackers of a stream or of the control socket: ZMTP by hand, as a client library is too polite.
+"""Attackers of a stream: ZMTP by hand, as a client library is too polite.
 
-    python attacks.py ATTACK ENDPOINT SECONDS COUNT
+    python attacks.py ATTACK ENDPOINT SECONDS
 
-An attack ends after so many seconds, or so many connections or megabytes, whichever comes first,
-and prints how many bytes were taken.
+It ends after so many seconds, and prints how many bytes were taken.
 """
 
 import contextlib
@@ -12,82 +11,47 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable
 
 SEND_S = 1.0  # a peer that takes nothing for so long is left
-BATCH = 40  # connections at a time
-MESSAGES = 4000  # of one connection, more than a socket's buffers hold
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
-STATUS = b"\x81\xa3cmd\xa6status"  # msgpack of {"cmd": "status"}
-MB = 1_000_000
+READY = b"\x04\x19\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB"
 
 
 def frame(body: bytes, *, more: bool = False) -> bytes:
     return struct.pack("BB", more, len(body)) + body
 
 
-def connected(endpoint: str, kind: bytes) -> socket.socket:
-    """A peer that is greeted as ZeroMQ's are, and reads nothing more."""
+ATTACKS: dict[str, Iterable[bytes]] = {  # what each connection sends, and then it leaves
+    # more subscriptions than a socket's buffers hold
+    "subscribe_and_leave": [b"".join(frame(b"\x01/taxeld/%d" % n) for n in range(4000))],
+    # a message whose last frame never comes
+    "endless_to_stream": itertools.repeat(frame(b"\x01" * 255, more=True) * 200),
+    "unique_subscriptions": (frame(b"\x01" + b"%d" % n * 24) for n in itertools.count()),
+}
+
+
+def connected(endpoint: str) -> socket.socket:
+    """A subscriber that is greeted as ZeroMQ's are, and reads nothing more."""
     scheme, _, place = endpoint.partition("://")
     local = scheme == "ipc"
     made = socket.socket(socket.AF_UNIX if local else socket.AF_INET)
     made.settimeout(SEND_S)
-    named = b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind
     made.connect(place if local else ("127.0.0.1", int(place.rpartition(":")[2])))
     made.sendall(GREETING)
     made.recv(len(GREETING))
-    made.sendall(struct.pack("BB", 4, len(named)) + named)
+    made.sendall(READY)
     made.recv(256)
     return made
 
 
-def subscribe_and_leave(endpoint: str, count: int) -> Iterator[int]:
-    many = b"".join(frame(b"\x01/taxeld/%d" % n) for n in range(MESSAGES))
-    return come_and_go(endpoint, count, b"SUB", many)
-
-
-def ask_and_leave(endpoint: str, count: int) -> Iterator[int]:
-    question = frame(b"", more=True) + frame(STATUS)
-    return come_and_go(endpoint, count, b"REQ", question * MESSAGES)
-
-
-def come_and_go(endpoint: str, count: int, kind: bytes, data: bytes) -> Iterator[int]:
-    """`count` connections that each send `data` and leave; → the bytes that were taken."""
-    for _ in range(count // BATCH):
-        with contextlib.suppress(OSError), contextlib.ExitStack() as held:
-            for _ in range(BATCH):
-                peer = held.enter_context(connected(endpoint, kind))
-                peer.setblocking(False)
-                yield peer.send(data)
-
-
-def endless_to_stream(endpoint: str, count: int) -> Iterator[int]:
-    """A message of `count` MB whose last frame never comes."""
-    return stream(endpoint, count, itertools.repeat(frame(b"\x01" * 255, more=True) * 200))
-
-
-def unique_subscriptions(endpoint: str, count: int) -> Iterator[int]:
-    numbers = (b"\x01" + b"%d" % n * 24 for n in itertools.count())
-    return stream(endpoint, count, (frame(name) for name in numbers))
-
-
-def stream(endpoint: str, count: int, data: Iterator[bytes]) -> Iterator[int]:
-    """Up to `count` MB of `data`; a connection that is cut is made anew."""
-    sent = 0
-    while sent < count * MB:
-        with contextlib.suppress(OSError), connected(endpoint, b"SUB") as peer:
-            while sent < count * MB:
-                taken = peer.send(next(data))
-                sent += taken
-                yield taken
-        yield 0
-
-
 if __name__ == "__main__":
-    name, where, seconds, most = sys.argv[1:]
+    name, where, seconds = sys.argv[1:]
     until_s, total = time.monotonic() + float(seconds), 0
-    for taken in globals()[name](where, int(most)):
-        total += taken
-        if time.monotonic() > until_s:
-            break
+    while time.monotonic() < until_s:
+        with contextlib.suppress(OSError), connected(where) as peer:
+            for data in ATTACKS[name]:
+                total += peer.send(data)
+                if time.monotonic() > until_s:
+                    break
     print(total)
