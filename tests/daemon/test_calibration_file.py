@@ -15,8 +15,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.service import calibration_file
-from taxeld.skin import state
-from taxeld.skin.calibration import DAY_S, Calibration
+from taxeld.skin.calibration import DAY_S, Calibration, skin_digest
 from taxeld.source.recorder import Recorder
 from taxeld_protocol.frames import Frame
 from tests.rig.configurations import QUIET, configuration
@@ -29,7 +28,7 @@ def of(skin: Layout, **changed: object) -> Calibration:
     rng, taxels = np.random.default_rng(0), len(skin)
     usual = Calibration(
         t=NOW,
-        digest=state.digest(skin),
+        digest=skin_digest(skin),
         object="box",
         presses=20,
         full_scale_depth_m=0.005,
@@ -140,7 +139,7 @@ def test_a_calibration_of_another_layout_is_refused_by_name(skin: Layout, tmp_pa
     path = written(other, tmp_path / "c.toml", of(other))
     with pytest.raises(SetupError, match="is of another layout") as error:
         loaded(path, skin)
-    assert state.digest(other) in str(error.value)
+    assert skin_digest(other) in str(error.value)
     assert skin.name in str(error.value)
 
 

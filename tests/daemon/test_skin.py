@@ -24,7 +24,7 @@ def scan(skin: Layout, taxels: dict[int, int], t: float = 0.0, base: int = BASE)
 
 
 def tared(skin: Layout, noise: int = 0) -> Skin:
-    subject = Skin(skin, SkinConfig(), baseline_scans=20)
+    subject = Skin(skin, SkinConfig())
     rng = np.random.default_rng(0)
     for _ in range(20):
         jitter = {i: int(v) for i, v in enumerate(noise * rng.standard_normal(len(skin)))}

@@ -16,7 +16,7 @@ HELD = [3, 4, 19]
 
 
 def begun(skin: Layout, seed: int = 0) -> tuple[SimulatedSkin, Skin]:
-    simulated, subject = SimulatedSkin(skin, seed), Skin(skin, SkinConfig(), baseline_scans=100)
+    simulated, subject = SimulatedSkin(skin, seed), Skin(skin, SkinConfig())
     simulated.run(subject, 6.0)
     return simulated, subject
 
@@ -163,7 +163,7 @@ def test_a_skin_that_reads_too_low_for_a_while_feels_nothing_afterwards(skin: La
     dipped = list(range(8))
     simulated.press[dipped] = -3_000.0
     simulated.run(subject, 6.0)
-    assert subject.lowered == len(dipped)
+    assert subject.counters.lowered == len(dipped)
     simulated.press[:] = 0.0
     assert not simulated.run(subject, 6.0).z.any()
 

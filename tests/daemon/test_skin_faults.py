@@ -120,7 +120,7 @@ happenings = st.tuples(
 def test_whatever_comes_the_state_is_finite_and_the_masks_agree(
     skin: Layout, story: list[tuple[str, int, int]]
 ) -> None:
-    simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig(), baseline_scans=4)
+    simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
     version, scans = 1, 0
     for kind, taxel, times in story:
         if kind == "press":
@@ -135,7 +135,7 @@ def test_whatever_comes_the_state_is_finite_and_the_masks_agree(
             subject.tare()
         elif kind == "restart":
             state = subject.state()
-            scans, subject = 0, Skin(skin, SkinConfig(), baseline_scans=4)
+            scans, subject = 0, Skin(skin, SkinConfig())
             if state is not None:
                 subject.restore(state)
         for _ in range(times):

@@ -177,5 +177,5 @@ def test_what_was_learned_on_another_scale_is_not_taken(skin: Layout) -> None:
     calibrated.restore(state)
     assert np.allclose(calibrated.fit.values[0], 1.2)
     stretched = Skin(skin, SkinConfig(full_scale_counts=30_000.0), noise=NOISE)
-    stretched.restore(replace(state, gain=1.3 * ones))
+    stretched.restore(replace(state, response=np.vstack([1.3 * ones, state.response[1:]])))
     assert np.allclose(stretched.fit.values[0], 1.0)

@@ -8,8 +8,8 @@ import pytest
 
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
+from taxeld.skin.calibration import SkinState
 from taxeld.skin.skin import Skin
-from taxeld.skin.state import SkinState
 from tests.rig.simulated_skin import SimulatedSkin
 
 HELD = [3, 4]

@@ -12,7 +12,7 @@ from taxeld.estimator.mixture import REMEMBERED, SILENT_MAX
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation
 
-VERSION = 2  # of `scan_arrays`
+VERSION = 3  # of `scan_arrays` and `SkinState`
 OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd"
 OF_TAXELS = "z", "live", "floor", "residue", *OF_NOISE
 MOVED = 0.05  # probability that the object was moved while no daemon ran

@@ -15,9 +15,8 @@ from taxeld.layout.layout import Layout
 from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import LinkInputs, Why
 from taxeld.pipeline.poses import OnPose, Pace, PoseTrack, StandingStill
-from taxeld.skin.calibration import Calibration
+from taxeld.skin.calibration import Calibration, SkinState
 from taxeld.skin.skin import Skin
-from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
 
 FUTURE_S = 0.1  # a scan stamped farther in the future was stamped wrongly
@@ -122,8 +121,8 @@ class LinkStage:
                 "poses": self.poses.taken,
                 "poses_rejected": self.poses.rejected,
             },
-            "skin": {**asdict(skin.counters), "lowered": skin.lowered, "gain": skin.fit.gain},
-            "modules": {"layout": skin.modules, "foreign": len(skin.wiring.foreign)},
+            "skin": {**asdict(skin.counters), "gain": skin.fit.gain},
+            "modules": {"layout": len(skin.wiring.suis), "foreign": len(skin.wiring.foreign)},
             **skin.faults(),
         }
 

@@ -15,8 +15,7 @@ from taxeld.config.gate import ConfigError, between, key, parse
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.skin import state
-from taxeld.skin.calibration import Calibration
+from taxeld.skin.calibration import Calibration, skin_digest
 
 VERSION = 1
 MAX_AGE_DAYS = 180.0
@@ -127,7 +126,7 @@ def read(path: Path, layout: Layout, full_scale_depth_m: float) -> Calibration:
 
 def _fault(table: CalibrationTable, layout: Layout, full_scale_depth_m: float) -> str:
     """Why the calibration is not of this skin; empty where it is."""
-    own = state.digest(layout)
+    own = skin_digest(layout)
     if table.version != VERSION:
         return f"it is of version {table.version}, not {VERSION}"
     if table.skin != own or [t.uid for t in table.taxel] != layout.uid.tolist():

@@ -26,8 +26,8 @@ from taxeld.config.tables import Config
 from taxeld.estimator.history import VERSION, scan_arrays, scans_of
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.stage import later
+from taxeld.skin.calibration import SkinState
 from taxeld.skin.skin import Skin
-from taxeld.skin.state import SkinState
 from taxeld.stream.link import Link
 
 NAME = "kept.npz"

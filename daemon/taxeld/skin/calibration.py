@@ -1,11 +1,12 @@
-"""The calibration of one skin on one robot, and the scale from counts to activations."""
+"""What is known of one skin from before: its calibration, and the state kept over a restart."""
 
+import hashlib
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
+from taxeld.layout.layout import Layout
 from taxeld.model.response import Inverse
 
 DAY_S = 86_400.0
@@ -16,7 +17,7 @@ class Calibration:
     """Measured values of M taxels; each sd is one standard deviation."""
 
     t: float
-    digest: str  # digest of the taxels' places and UIDs (`skin.state.digest`)
+    digest: str  # `skin_digest`
     object: str  # name of the object that was pressed
     presses: int
     full_scale_depth_m: float
@@ -40,29 +41,36 @@ class Calibration:
         return (now - self.t) / DAY_S
 
 
+@dataclass(frozen=True, slots=True)
+class SkinState:
+    """What a skin of M taxels and K modules has learned by Unix time t [s]."""
+
+    t: float
+    digest: str  # `skin_digest`
+    baseline: Floats  # (M,) counts, nan where not known
+    noise: Floats  # (M,) counts
+    coefficient: Floats  # (K,) counts of drift a count of T0
+    leak: Floats  # (K,) counts of T0 a count of press: the part of a press that T0 reads
+    t0: Floats  # (K,) counts, nan where there is none
+    full_scale: float  # counts at full depth of a gain of 1, to which the responses belong
+    calibrated_t: float  # time of the calibration from which they were learned; 0 without one
+    response: Floats  # (6, M) as `SkinFit.values`
+
+
+@dataclass(frozen=True, slots=True)
 class Scale:
-    """Counts over baseline → activations: by one full scale, or by a calibration."""
+    """Counts over baseline → activations."""
 
-    def __init__(self, full_scale_counts: float, own: Floats | float, inverse: Inverse | None):
-        """`own` (M,) or one number: counts of each taxel at full depth."""
-        self.full_scale_counts = full_scale_counts
-        self._own = own
-        self._inverse = inverse
-
-    @classmethod
-    def of(cls, own: Floats, inverse: Inverse) -> Self:
-        """The scale for counts `own` (M,) of each taxel at full depth."""
-        return cls(float(np.median(own)), own, inverse)
-
-    @classmethod
-    def used(cls, full_scale_counts: float, calibration: Calibration | None) -> Self:
-        """The scale of the configured full scale, or of a calibration in its place."""
-        if calibration is None:
-            return cls(full_scale_counts, full_scale_counts, None)
-        c = calibration
-        return cls(c.full_scale_counts, c.full_scale_counts * c.gain, Inverse(c.bend, c.onset))
+    own: Floats | float  # counts of each taxel (M,), or of all, at full depth
+    inverse: Inverse | None = None  # None: activations are in proportion to counts
 
     def activation(self, over: Floats) -> Floats:
         """Activations (M,) in 0..1 of counts (M,) over baseline."""
-        reading = np.minimum(np.maximum(over / self._own, 0.0), 1.0)
-        return reading if self._inverse is None else self._inverse(reading)
+        reading = np.minimum(np.maximum(over / self.own, 0.0), 1.0)
+        return reading if self.inverse is None else self.inverse(reading)
+
+
+def skin_digest(layout: Layout) -> str:
+    """16 hex digits that identify the taxels' places and UIDs."""
+    text = layout.digest.encode() + layout.uid.astype("<i8").tobytes()
+    return hashlib.sha256(text).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""Maps of a hub's channels: to the layout's taxels, and to the modules' temperatures."""
+"""Which channel of a hub is which taxel of the layout, or the temperature of which module."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,13 +15,11 @@ TEMPERATURE = 0  # name of the temperature channel, in the low nibble of its UID
 
 
 class Wired(NamedTuple):
-    """A hub's channels by their use."""
+    """The channels of a hub that the skin uses."""
 
-    channels: Index  # channels of taxels
-    taxels: Index  # taxels of these channels, in the same order
-    places: Index | slice  # `taxels`, as a slice where the hub has the whole skin
-    t0_channels: Index  # channels of temperatures
-    t0_modules: Index  # modules of these channels, in the same order
+    channels: Index  # (n,)
+    places: Index  # (n,) taxel of each channel, ascending; or M + the module of a temperature
+    taxels: Index  # the places that are taxels: the first ones
 
 
 class Wiring:
@@ -31,19 +29,15 @@ class Wiring:
         suis, module = np.unique(layout.uid >> 4, return_inverse=True)
         self.suis: list[int] = suis.tolist()  # serial number of each module
         self.module: Index = module.astype(np.intp)  # (M,) module of each taxel
-        self._taxel = {int(uid): i for i, uid in enumerate(layout.uid)}
-        # A taxel of an array may have the name of a temperature; then the layout says that it is
-        # a taxel.
-        self._t0 = {
-            sui << 4 | TEMPERATURE: m
-            for m, sui in enumerate(self.suis)
-            if sui << 4 | TEMPERATURE not in self._taxel
-        }
+        self._taxels = len(layout)
+        # A taxel of an array may have the name of a temperature: the layout decides.
+        self._place = {sui << 4 | TEMPERATURE: len(layout) + m for m, sui in enumerate(self.suis)}
+        self._place |= {uid: taxel for taxel, uid in enumerate(layout.uid.tolist())}
         self._maps: dict[int, tuple[int, Wired]] = {}
         self.hubs: dict[int, list[int]] = {}  # hub → serial numbers of its modules
-        self.lacking: tuple[int, ...] = tuple(self.suis)  # modules on no hub
+        # modules that no hub has had: one that has gone since has dead taxels
+        self.lacking: tuple[int, ...] = tuple(self.suis)
         self.foreign: tuple[int, ...] = ()  # modules that hubs declared and the layout lacks
-        self._suis = set(self.suis)
         self.neighbours: set[int] = set()  # modules of other links, which are not foreign
 
     def of(self, scan: Scan) -> Wired:
@@ -51,31 +45,22 @@ class Wiring:
         version, wired = self._maps.get(scan.ihb, (None, None))
         if wired is None or version != scan.table_version:
             uids = [uid for module in scan.table for uid in module.uids]
-            channels, taxels = _pairs(uids, self._taxel)
-            is_all = np.array_equal(taxels, np.arange(len(self._taxel)))
-            places = slice(None) if is_all else taxels
-            wired = Wired(channels, taxels, places, *_pairs(uids, self._t0))
+            pairs = sorted(
+                (self._place[uid], k) for k, uid in enumerate(uids) if uid in self._place
+            )
+            places, channels = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+            wired = Wired(channels, places, places[places < self._taxels])
             self._maps[scan.ihb] = scan.table_version, wired
-            self._note(scan.ihb, {uid >> 4 for uid in uids if self._is_taxel(uid)})
+            suis = {uid >> 4 for uid in uids if self._is_taxel(uid)}
+            self.hubs[scan.ihb] = sorted(suis)
+            self.lacking = tuple(sui for sui in self.lacking if sui not in suis)
+            foreign = {*self.foreign, *suis} - {*self.suis} - self.neighbours
+            self.foreign = tuple(sorted(foreign))
         return wired
 
     def _is_taxel(self, uid: int) -> bool:
-        return uid != ABSENT_UID and (uid & 0xF != TEMPERATURE or uid in self._taxel)
-
-    def _note(self, hub: int, suis: set[int]) -> None:
-        """Record a hub's modules with taxels. A module that has gone since is not lacking: its
-        taxels are dead."""
-        self.hubs[hub] = sorted(suis)
-        self.lacking = tuple(sui for sui in self.lacking if sui not in suis)
-        self.foreign = tuple(sorted({*self.foreign, *suis} - self._suis - self.neighbours))
-
-
-def _pairs(uids: list[int], index: dict[int, int]) -> tuple[Index, Index]:
-    """Channels whose UIDs are in the index, and the index's numbers for them."""
-    pairs = [(channel, index[uid]) for channel, uid in enumerate(uids) if uid in index]
-    pairs.sort(key=lambda pair: pair[1])
-    channels, found = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    return channels, found
+        is_named = uid & 0xF != TEMPERATURE or self._place.get(uid, self._taxels) < self._taxels
+        return uid != ABSENT_UID and is_named
 
 
 def mismatch(lacking: Sequence[int], of_layout: int, foreign: int, match: bool) -> str:

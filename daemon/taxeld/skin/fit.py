@@ -1,13 +1,13 @@
 """What touches teach about each taxel: its gain, the onset of its response, and its sag.
 
 A sure belief says how deep each taxel was pressed, so its readings say how it responds. Each taxel
-has a Gaussian over three numbers (`model.response`): the relative gain, the onset of
-its own curve, and the logarithm of the length by which the cover sags beside it. A reading is one
-step of an extended Kalman filter. A lesson is a trial first: it stays only where it foretells the
-readings of the next lesson better than what was known before (prequential; Dawid 1984).
+has a Gaussian over three numbers (`model.response`): the relative gain, the onset of its own curve,
+and the logarithm of the length by which the cover sags beside it. A reading is one step of an
+extended Kalman filter. A lesson is a trial first: it stays only where it foretells the readings of
+the next lesson better than what was known before (prequential; Dawid 1984).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -30,16 +30,16 @@ GAIN_KNOWN = 0.13
 GAIN_WITHIN = 0.08  # sd of a reading in proportion to it, however well the gain is known
 OWN = 0.5  # share of the sag's variance that is the taxel's own; the rest is a press's
 ROBUST = 2.0  # standard deviations beyond which a reading teaches less (Huber 1964)
-LEAST = np.array([0.4, -0.9, np.log(2e-4)])  # least gain, onset, log length
-MOST = np.array([2.5, 3.0, np.log(0.012)])
+LEAST = np.array([[0.4], [-0.9], [np.log(2e-4)]])  # least gain, onset, log length
+MOST = np.array([[2.5], [3.0], [np.log(0.012)]])
 
 
 class LinearLesson(NamedTuple):
-    """A lesson as linear readings about the curves in use."""
+    """A lesson as readings that are linear in each taxel's three numbers."""
 
-    off: Floats  # (K, M) reading less the expected; 0 where it tells nothing
-    slope: Floats  # (3, K, M) over gain, onset and log length
-    variance: Floats  # (K, M) of the reading; infinite where it tells nothing
+    value: Floats  # (K, M) `slope` times the three numbers, plus an error
+    slope: Floats  # (K, 3, M)
+    variance: Floats  # (K, M) of the error; infinite where a reading tells nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,34 +49,26 @@ class TaxelFit:
     mean: Floats  # (3, M) relative gain, onset, logarithm of the sag's length [m]
     cov: Floats  # (3, 3, M)
 
-    def learned(self, seen: LinearLesson, about: "TaxelFit") -> "TaxelFit":
-        """After the readings, which are linear about another fit."""
-        mean, cov = self.mean.copy(), self.cov.copy()
-        for off, slope, variance in zip(
-            seen.off, np.moveaxis(seen.slope, 1, 0), seen.variance, strict=True
-        ):
+    def learned(self, seen: LinearLesson) -> "TaxelFit":
+        """The Gaussians after these readings."""
+        mean, cov = self.mean, self.cov
+        for value, slope, variance in zip(*seen, strict=True):
             across = np.einsum("ijm,jm->im", cov, slope)
             spread = np.einsum("im,im->m", slope, across)
-            left = off - np.einsum("im,im->m", slope, mean - about.mean)
-            sd = np.sqrt(spread + variance)
-            weight = np.minimum(ROBUST * sd / np.maximum(np.abs(left), 1e-9), 1.0)
-            gain = across / (spread + variance / weight**2)
-            mean = np.clip(mean + gain * left, LEAST[:, None], MOST[:, None])
+            left = value - np.einsum("im,im->m", slope, mean)
+            far = ROBUST * np.sqrt(spread + variance) / np.maximum(np.abs(left), 1e-9)
+            gain = across / (spread + variance / np.minimum(far, 1.0) ** 2)
+            mean = np.clip(mean + gain * left, LEAST, MOST)
             cov = cov - gain[:, None] * across[None]
-        return replace(self, mean=mean, cov=cov)
+        return TaxelFit(mean, cov)
 
-    def log_density(self, seen: LinearLesson, about: "TaxelFit") -> float:
-        """Of the readings, which are linear about another fit; each counts within bounds."""
-        left = seen.off - np.einsum("ikm,im->km", seen.slope, self.mean - about.mean)
-        spread = np.einsum("ikm,ijm,jkm->km", seen.slope, self.cov, seen.slope) + seen.variance
+    def log_density(self, seen: LinearLesson) -> float:
+        """Log-density of these readings; each counts within bounds."""
+        left = seen.value - np.einsum("kim,im->km", seen.slope, self.mean)
+        spread = np.einsum("kim,ijm,kjm->km", seen.slope, self.cov, seen.slope) + seen.variance
         told = np.isfinite(spread)
-        square = np.minimum(left[told] ** 2 / spread[told], ROBUST**2 * 4.0)
+        square = np.minimum(left[told] ** 2 / spread[told], (2.0 * ROBUST) ** 2)
         return float(-0.5 * (square + np.log(spread[told])).sum())
-
-
-def _diagonal(sd: Floats) -> Floats:
-    """Standard deviations (3, M) → covariances (3, 3, M)."""
-    return np.asarray(np.eye(3)[:, :, None] * np.square(sd)[None])
 
 
 class SkinFit:
@@ -92,11 +84,10 @@ class SkinFit:
             gain, onset, self.bend = calibration.gain, calibration.onset, calibration.bend
             sd = np.stack([calibration.gain_sd, calibration.onset_sd])
         sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * SAG_SD * ones])
-        self.fit = TaxelFit(np.stack([gain, onset, np.log(SAG_M) * ones]), _diagonal(sd))
         self.lessons = 0  # lessons that were kept
         self.refused = 0
         self._noise, self._usual = noise, np.median(sd**2, axis=1)
-        self._trial: TaxelFit | None = None
+        self.restore(np.vstack([gain, onset, np.log(SAG_M) * ones, sd]))
 
     @property
     def values(self) -> Floats:
@@ -105,38 +96,38 @@ class SkinFit:
 
     def restore(self, values: Floats) -> None:
         """Go on from `values` of before a restart."""
-        self.fit, self._trial = TaxelFit(values[:3].copy(), _diagonal(values[3:])), None
+        cov = np.eye(3)[:, :, None] * values[3:] ** 2
+        self.fit = TaxelFit(values[:3], cov)
+        self._trial: TaxelFit | None = None
 
     @property
     def gain(self) -> float:
         """The median of the learned gains; 1 without any."""
-        gain, _, _, gain_sd, *_ = self.values
-        known = gain_sd < KNOWN * np.sqrt(self._usual[0])
-        return float(np.median(gain[known])) if known.any() else 1.0
+        known = self.fit.cov[0, 0] < KNOWN**2 * self._usual[0]
+        return float(np.median(self.fit.mean[0, known])) if known.any() else 1.0
 
     @property
     def noise(self) -> Noise:
         """The errors of each taxel's readings about its curve, (M,)."""
-        now, usual = self.fit.cov, self._noise
-        gain = np.square(usual.gain_cv) * now[0, 0] / self._usual[0]
-        of_press = (1.0 - OWN) * SAG_SD**2
+        cov, usual = self.fit.cov, self._noise
+        gain_cv = usual.gain_cv * np.sqrt(cov[0, 0] / self._usual[0])
         return Noise(
             sigma=usual.sigma,
-            gain_cv=np.maximum(np.sqrt(gain), np.minimum(GAIN_KNOWN, usual.gain_cv)),
+            gain_cv=np.maximum(gain_cv, np.minimum(GAIN_KNOWN, usual.gain_cv)),
             outliers=usual.outliers,
             sag_m=np.exp(self.fit.mean[2]),
-            sag_sd=np.sqrt(now[2, 2] + of_press),
+            sag_sd=np.sqrt(cov[2, 2] + (1.0 - OWN) * SAG_SD**2),
         )
 
     def teach(self, lesson: Lesson) -> bool:
         """Take a lesson; → whether the one before stays, so that the fit has changed."""
-        about, trial, seen = self.fit, self._trial, self._read(lesson)
-        kept = trial is not None and trial.log_density(seen, about) > about.log_density(seen, about)
+        trial, seen, kept = self._trial, self._read(lesson), False
         if trial is not None:
+            kept = trial.log_density(seen) > self.fit.log_density(seen)
+            self.fit = trial if kept else self.fit
             self.lessons += kept
             self.refused += not kept
-        base = trial if trial is not None and kept else about
-        self.fit, self._trial = base, base.learned(seen, about)
+        self._trial = self.fit.learned(seen)
         return kept
 
     def _read(self, lesson: Lesson) -> LinearLesson:
@@ -149,8 +140,10 @@ class SkinFit:
         felt = (z > 0.0) & (z < 1.0) & (h > 0.0)
         unfelt = (z == 0.0) & (h > lesson.floor)
         off = np.where(felt, z - h, np.where(unfelt, lesson.floor - h, 0.0))
-        slope = np.stack([reads / (gain * rise), deviation(h) / rise, lesson.by_sag])
+        slope = np.stack([reads / (gain * rise), deviation(h) / rise, lesson.by_sag], axis=1)
         own = WITHIN * np.square(self._noise.sigma) + np.square(GAIN_WITHIN * h)
         of_press = (1.0 - OWN) * np.square(SAG_SD * lesson.by_sag)
         variance = own / rise**2 + lesson.variance + of_press
-        return LinearLesson(off, slope, np.where(lesson.live & (felt | unfelt), variance, np.inf))
+        told = lesson.live & (felt | unfelt)
+        value = off + np.einsum("kim,im->km", slope, self.fit.mean)
+        return LinearLesson(value, slope, np.where(told, variance, np.inf))

@@ -7,7 +7,7 @@ the reading is the foam's, as long as it only falls; a rise above that is the ne
 
 import numpy as np
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Bools, Floats
 
 KEPT = 0.4  # share of a press's peak: a lower reading is of a released press
 FRESH = 0.1  # share of a scan in the mean reading after a release: a single one is noisy
@@ -17,18 +17,14 @@ class Residue:
     """The last presses of M taxels."""
 
     def __init__(self, taxels: int) -> None:
-        self.level = np.zeros(taxels)  # (M,) counts over baseline left by presses
-        self.pressed = np.zeros(taxels, dtype=np.bool_)  # (M,)
-        self.is_none = True  # no taxel is pressed, and no press has left anything
+        self.level: Floats = np.zeros(taxels)  # (M,) counts over baseline left by presses
+        self.pressed: Bools = np.zeros(taxels, dtype=bool)  # (M,)
         self._peak = np.zeros(taxels)  # (M,) peak of the press under way [counts]
         self._mean = np.zeros(taxels)  # (M,) mean reading since the release [counts]
 
     def on_scan(self, over: Floats, threshold: Floats) -> None:
         """Take counts (M,) over baseline; a rise by `threshold` (M,) is a press."""
         level, pressed = self.level, self.pressed
-        if self.is_none and not (over > threshold).any():
-            self._peak = over
-            return
         mean = self._mean + FRESH * (over - self._mean)
         mean = np.where(over < mean - threshold, over, mean)  # a fall, and no noise
         level = np.where(pressed, level, np.minimum(np.maximum(mean, 0.0), level))
@@ -38,4 +34,3 @@ class Residue:
         self.level = np.where(ended, np.maximum(over, 0.0), level)
         self._mean = np.where(ended, over, mean)
         self.pressed, self._peak = pressed & ~ended, peak
-        self.is_none = not (self.pressed.any() or self.level.any())

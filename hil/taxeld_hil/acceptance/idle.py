@@ -10,11 +10,10 @@ from taxeld.arrays import Bools, Floats
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.noise import FLOOR
-from taxeld.skin.capture import NOISE_MAX, SD_OF_STEP
 from taxeld.skin.channels import TEMPERATURE
-from taxeld.skin.rest import NOISE_TELLS
+from taxeld.skin.drift import T0_STEP
+from taxeld.skin.rest import NOISE_MAX, NOISE_TELLS, SD_OF_STEP
 from taxeld.skin.skin import INVALID_FROM
-from taxeld.skin.temperature import STEP
 from taxeld_protocol.decoder import MISSING, Scan
 
 STILL_SCANS = 50  # two readings with a noise of a count agree in 0.28 of cases: 1e-27 for fifty
@@ -137,6 +136,6 @@ def _temperature(values: Floats, period_s: float, full_scale_counts: float) -> T
         medians = np.median(valid[: seconds * a_second].reshape(seconds, a_second), axis=1)
         step = float(np.abs(np.diff(medians)).max())
     spread = SD_OF_MEDIAN * np.sqrt(2.0 / a_second) * noise  # sd of the difference of two medians
-    allowed = max(STEP * full_scale_counts, THRESHOLD_SIGMAS * float(spread))
+    allowed = max(T0_STEP * full_scale_counts, THRESHOLD_SIGMAS * float(spread))
     invalid = 1.0 - len(valid) / len(values)
     return T0Readings(float(np.median(values)), invalid, step, allowed)

@@ -80,7 +80,8 @@ def _follow(
     """Times of scans for a press, and `over` (M,), the newest counts over `level` (M,)."""
     for scan in scans(source, PRESS_S):
         wired = wiring.of(scan)
-        counts = np.array(scan.counts, dtype=np.float64)[wired.channels]
+        channels = wired.channels[: len(wired.taxels)]
+        counts = np.array(scan.counts, dtype=np.float64)[channels]
         came = counts != MISSING
         over[wired.taxels[came]] = np.maximum(counts - level[wired.taxels], 0.0)[came]
         yield scan.t, over

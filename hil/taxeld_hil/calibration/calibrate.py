@@ -19,8 +19,7 @@ from taxeld.model import se2
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import Inverse
-from taxeld.skin import state
-from taxeld.skin.calibration import Calibration, Scale
+from taxeld.skin.calibration import Calibration, Scale, skin_digest
 from taxeld.source import session
 from taxeld_hil.calibration.fit import CalibrationFit, FitResult, Start
 from taxeld_hil.calibration.observer import Observed, Observer, uncalibrated
@@ -105,7 +104,7 @@ def fitted(observed: Observed, config: Config, placed: Poses | None) -> Result:
     value, sd = fit.value, fit.sd
     calibration = Calibration(
         t=observed.t,
-        digest=state.digest(observed.model.layout),
+        digest=skin_digest(observed.model.layout),
         object=config.scene.names[0],
         presses=len(presses),
         full_scale_depth_m=config.skin.full_scale_depth_m,
@@ -234,7 +233,7 @@ def _noise(model: ObservationModel, presses: Presses, noise: Floats, fit: FitRes
         left_out = np.arange(len(presses)) % FOLDS == fold
         other = CalibrationFit(model, presses.only(~left_out), noise, start).run().value
         own = np.exp(other.log_full + other.log_gain)
-        scale = Scale.of(own, Inverse(float(other.bend[0]), other.onset))
+        scale = Scale(own, Inverse(float(other.bend[0]), other.onset))
         part = presses.only(left_out)
         z = np.array([scale.activation(row) for row in part.counts])
         readings.append(np.where(z < FLOOR, 0.0, z)[part.live])

@@ -12,8 +12,7 @@ from taxeld.layout.layout import Layout
 from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
-from taxeld.skin.calibration import Calibration
-from taxeld.skin.state import SkinState
+from taxeld.skin.calibration import Calibration, SkinState
 from taxeld.source import buses
 from taxeld.source.array_source import ArraySource
 from taxeld.source.source import Source

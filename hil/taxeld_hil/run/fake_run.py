@@ -7,8 +7,7 @@ from pathlib import Path
 from taxeld.commands.advise import Adviser
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate
-from taxeld.skin.calibration import Calibration
-from taxeld.skin.state import SkinState
+from taxeld.skin.calibration import Calibration, SkinState
 from taxeld.source import session
 from taxeld.source.recorder import HEADERS, Item
 from taxeld.source.session import Chunk
