@@ -241,6 +241,15 @@ def test_a_file_with_any_damage_is_not_used_or_as_it_was(
         assert all(found[name].tobytes() == arrays[name].tobytes() for name in found)
 
 
+def test_a_file_whose_list_of_arrays_is_damaged_is_not_used(
+    whole: Callable[[], bytes], tmp_path: Path
+) -> None:
+    damaged = bytearray(whole())
+    damaged[damaged.find(b"PK\x01\x02") + 33] = 64  # a comment of 16 kB hides the other arrays
+    (tmp_path / NAME).write_bytes(damaged)
+    assert kept.read(tmp_path / NAME) == {}
+
+
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
