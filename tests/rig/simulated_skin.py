@@ -4,10 +4,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import Activation
 from taxeld.skin.skin import Skin
-from taxeld_protocol.decoder import Scan
+from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module, wired
 
 BASE, T0, NOISE = 10_000.0, 12_000.0, 34.0
@@ -49,7 +50,7 @@ class SimulatedSkin:
         leak = LEAK * np.bincount(self.module, np.where(at >= 0, self.press[at], 0.0))
         t0 = T0 + warmth + 0.2 * self.noise * self.rng.standard_normal(len(leak)) + leak
         values = np.where(at >= 0, taxels[at], t0[self.module])
-        counts = np.clip(np.round(values), 0, 0xFFFF).astype(int).tolist()
+        counts = np.clip(np.round(values), MISSING, 0xFFFF).astype(int).tolist()
         return Scan(self.t, 1, tuple(counts), self.modules, 1)
 
     def lead(self, skin: Skin, seconds: float) -> Iterator[Activation | None]:
@@ -62,3 +63,12 @@ class SimulatedSkin:
         *_, last = self.lead(skin, seconds)
         assert last is not None
         return last
+
+
+def begun(
+    layout: Layout, seconds: float = 2.0, seed: int = 0, noise: float = NOISE
+) -> tuple[SimulatedSkin, Skin]:
+    """A skin at rest, and a subject that has read it for so long."""
+    simulated, subject = SimulatedSkin(layout, seed, noise), Skin(layout, SkinConfig())
+    simulated.run(subject, seconds)
+    return simulated, subject
