@@ -25,29 +25,6 @@ def connected(path, kind=b"SUB", other=b"XPUB"):
     return peer
 """
 
-# A descriptor whose close waits for 8 seconds is passed to the stream: its path
-LINGER = """
-import socket, struct, sys
-listens = socket.create_server(("127.0.0.1", 0))
-slow = socket.create_connection(listens.getsockname())
-slow.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 8))
-slow.setblocking(False)
-try:
-    while True:
-        slow.send(bytes(65536))
-except BlockingIOError:
-    pass
-peer = socket.socket(socket.AF_UNIX)
-peer.connect(sys.argv[1])
-try:
-    socket.send_fds(peer, [b"\\xff"], [slow.fileno()])
-except PermissionError:
-    slow.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 0, 0))
-slow.close()
-print(flush=True)
-sys.stdin.read()
-"""
-
 # Requests without end by clients that read the answers: the endpoint of control
 REQUESTS = """
 import sys, zmq, msgpack

@@ -33,7 +33,7 @@ class Stand(contextlib.ExitStack):
     def __init__(self, place: Path, **settings: Any) -> None:
         super().__init__()
         self.stream, self.control = f"ipc://{place}/stream", f"ipc://{place}/control"
-        served = {"publish": (self.stream,), "control": self.control, "robot": ""} | settings
+        served = {"publish": (self.stream,), "control": self.control, "queue": QUEUE} | settings
         self.poses: list[tuple[float, float, float, float]] = []
         self.done: list[str] = []
         changes: dict[str, Any] = {
@@ -43,10 +43,8 @@ class Stand(contextlib.ExitStack):
         changes["prior"] = self._prior
         self.link = Link(INFO, self._on_pose, changes)
         self.further: list[tuple[float, float, float, float]] = []  # poses of further links
-        group = {"change_group": "", "queue": QUEUE}
-        self.keeper = Doorkeeper(Settings(**group | served))
+        self.keeper = Doorkeeper(Settings(**served))
         self.callback(self.keeper.close)
-        self.callback(self.link.detach)
         self.context: zmq.Context[Any] = self.enter_context(zmq.Context())
         self._next_estimate_s = 0.0
         self.sent = 0
@@ -78,7 +76,7 @@ class Stand(contextlib.ExitStack):
             self._next_estimate_s = now_s + 0.05
             self.sent += 1
             self.link.send(b"/taxeld/estimate", {"seq": self.sent}, 1.0)
-        self.keeper.look(self.link, now_s)
+        self.keeper.look(now_s)
 
     def until(self, holds: Callable[[], object]) -> None:
         until(holds, self.look)

@@ -1,6 +1,5 @@
 """Programs that do a door harm, or are careless: the door stays, and honest peers are served."""
 
-import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +9,6 @@ from ..rig.processes import program, resident_bytes
 from . import attacks
 from .stand import Stand
 
-KERNEL = tuple(map(int, os.uname().release.split(".")[:2]))
 MOST_BYTES = 160 << 20
 ESTIMATES = 20  # that an honest subscriber hears meanwhile
 
@@ -27,7 +25,6 @@ ATTACKS = {
     "subscribers shut their reading side": Attack(attacks.SHUT, "{path}/stream"),
     "asking for the description again": Attack(attacks.ASK_AGAIN, "{path}/stream"),
     "requests without end": Attack(attacks.REQUESTS, "ipc://{path}/control", copies=2),
-    "descriptors that linger": Attack(attacks.LINGER, "{path}/stream", copies=3),
 }
 
 
@@ -35,8 +32,6 @@ ATTACKS = {
 def test_an_attack_costs_neither_the_door_nor_honest_peers_anything(
     tmp_path: Path, name: str
 ) -> None:
-    if name == "descriptors that linger" and KERNEL < (6, 16):
-        pytest.skip("before Linux 6.16 the door cannot refuse them; the loop is not concerned")
     attack = ATTACKS[name]
     with Stand(tmp_path) as stand:
         door, honest = stand.pid, stand.subscriber(b"/taxeld/e")

@@ -5,18 +5,19 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from taxeld.door import limits
-from taxeld.door.settings import OOM_SCORE, Settings
+from taxeld.door.settings import LIMITS, OOM_SCORE, Settings
 from taxeld.errors import SetupError
 from taxeld.service import doorkeeper
 from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream import link, pair
 
-from ..rig.clocks import until
+from ..rig.clocks import PATIENCE_S, until
 from ..rig.processes import python
 from .stand import INFO, Stand
 
@@ -35,7 +36,7 @@ def test_a_killed_door_is_back_and_subscribers_come_back_by_themselves(
             stand.received(heard)
         assert stand.keeper.starts == 4
         assert stand.answer({"cmd": "info"})["info"] == INFO
-    assert "door: ended by SIGKILL; it is started again" in caplog.messages
+    assert "door: ended: Killed; it is started again" in caplog.messages
 
 
 def test_a_door_that_hangs_is_ended_and_replaced(
@@ -56,7 +57,7 @@ def test_a_door_that_no_descriptor_is_left_for_is_started_later(
     def refused() -> None:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    monkeypatch.setattr(doorkeeper, "REFUSED_S", 0.1)
+    monkeypatch.setattr(doorkeeper, "REFUSED_PAUSE_S", 0.1)
     with Stand(tmp_path) as stand:
         before = stand.pid
         with monkeypatch.context() as scarce:
@@ -122,20 +123,16 @@ def test_an_endpoint_that_cannot_be_served_is_one_line(tmp_path: Path, kind: str
 
 
 FAULTY = """#!{python}
-import socket, sys, time
+import os, socket, sys
 end = socket.socket(fileno=int(sys.argv[4]))
 end.send(b"\\x92\\x11\\xa7a fault")  # [FAULT, "a fault"]
-end.close()
-time.sleep(60)  # to end takes time
+os._exit(2)
 """
 
 
 def test_a_door_that_states_a_fault_is_started_again_after_the_long_pause(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    faulty = tmp_path / "python"
-    faulty.write_text(FAULTY.format(python=sys.executable), encoding="utf-8")
-    faulty.chmod(0o755)
     with Stand(tmp_path) as stand:
         pauses: list[float] = []
         wait = stand.keeper._stops.wait
@@ -146,13 +143,21 @@ def test_a_door_that_states_a_fault_is_started_again_after_the_long_pause(
 
         monkeypatch.setattr(stand.keeper._stops, "wait", paused)
         with monkeypatch.context() as failing:
-            failing.setattr(sys, "executable", str(faulty))
+            failing.setattr(sys, "executable", executable(tmp_path, FAULTY))
             os.kill(stand.pid, signal.SIGKILL)
             stand.until(lambda: len(pauses) > 3)
-        assert pauses[1:] == [doorkeeper.REFUSED_S] * len(pauses[1:])
+        assert pauses[1:] == [doorkeeper.REFUSED_PAUSE_S] * len(pauses[1:])
         stand.until(lambda: stand.link.is_ready)
     told = [line for line in caplog.messages if line != "door: a fault"]
-    assert told == ["door: ended by SIGKILL; it is started again"]
+    assert told == ["door: ended: Killed; it is started again"]
+
+
+def executable(place: Path, code: str) -> str:
+    """A program in place of Python's."""
+    path = place / "python"
+    path.write_text(code.format(python=sys.executable), encoding="utf-8")
+    path.chmod(0o755)
+    return str(path)
 
 
 def test_a_second_daemon_leaves_the_first_ones_sockets_alone(tmp_path: Path) -> None:
@@ -163,25 +168,25 @@ def test_a_second_daemon_leaves_the_first_ones_sockets_alone(tmp_path: Path) -> 
 
 
 def test_where_nothing_is_served_there_is_no_door() -> None:
-    keeper = Doorkeeper(Settings(publish=(), control="", change_group="", robot="", queue=20))
-    assert keeper.starts == 0
+    keeper = Doorkeeper(Settings())
     keeper.close()
+    assert keeper.starts == 0
 
 
-def limit_of(pid: int, name: str) -> int:
-    text = Path(f"/proc/{pid}/limits").read_text(encoding="ascii")
-    (line,) = [line for line in text.splitlines() if line.startswith(name)]
-    return int(line[len(name) :].split()[0])
+NAMES = ["Max data size", "Max open files", "Max locked memory", "Max file size"]
+NAMES += ["Max core file size", "Max realtime priority"]
 
 
-def test_the_kernel_limits_the_door_and_ends_it_first(tmp_path: Path) -> None:
+def test_each_limit_of_the_door_is_set_in_the_kernel_which_ends_it_first(tmp_path: Path) -> None:
     with Stand(tmp_path) as stand:
         place = Path(f"/proc/{stand.pid}")
-        assert limit_of(stand.pid, "Max data size") == limits.MEMORY_BYTES
-        assert limit_of(stand.pid, "Max processes") == 0
-        assert limit_of(stand.pid, "Max core file size") == 0
-        assert limit_of(stand.pid, "Max realtime priority") == 0
-        assert limit_of(stand.pid, "Max open files") <= limits.DESCRIPTORS
+        text = (place / "limits").read_text(encoding="ascii")
+        found = {line[:26].strip(): line[26:].split()[:2] for line in text.splitlines()}
+        for name, most in zip(NAMES, LIMITS.values(), strict=True):
+            soft, hard = found[name]
+            assert soft == hard
+            assert int(soft) <= most if name == "Max open files" else int(soft) == most
+        assert found["Max processes"] == ["0", "0"]
         assert int((place / "oom_score_adj").read_text(encoding="ascii")) == OOM_SCORE
         assert len(list((place / "task").iterdir())) < 8
 
@@ -189,22 +194,70 @@ def test_the_kernel_limits_the_door_and_ends_it_first(tmp_path: Path) -> None:
 def test_where_memory_is_short_a_door_that_is_starting_goes_before_the_loop_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    starting = tmp_path / "python"
-    starting.write_text("#!/bin/sh\nexec sleep 60\n", encoding="ascii")
-    starting.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(starting))
-    keeper = Doorkeeper(Settings((f"ipc://{tmp_path}/stream",), "", "", "", 1))
-    process = until(lambda: keeper._started)[0].process
+    program = executable(tmp_path, "#!/bin/sh\nexec sleep 60\n")
+    monkeypatch.setattr(sys, "executable", program)
+    keeper = Doorkeeper(Settings(publish=(f"ipc://{tmp_path}/stream",)))
+    process, end = keeper._started.get(timeout=PATIENCE_S)
     score = Path(f"/proc/{process.pid}/oom_score_adj").read_text(encoding="ascii")
     keeper._stops.set()
+    end.close()
     process.kill()
     keeper.close()
     assert int(score) == OOM_SCORE
 
 
+def test_a_door_that_is_let_go_is_not_started_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Stand(tmp_path) as stand:
+        detach, process = stand.link.detach, stand.keeper._process
+        assert process is not None
+
+        def until_it_has_ended() -> None:
+            detach()
+            until(lambda: process.poll() is not None)
+
+        monkeypatch.setattr(stand.link, "detach", until_it_has_ended)
+    assert (stand.keeper.starts, caplog.messages) == (1, [])
+
+
+def test_a_door_whose_start_is_under_way_at_the_end_ends_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+    begun, joined = threading.Event(), threading.Event()
+
+    class Late(subprocess.Popen[bytes]):
+        def __init__(self, *given: Any, **how: Any) -> None:
+            begun.set()
+            joined.wait()
+            super().__init__(*given, **how)
+            started.append(self)
+
+    deaf = executable(tmp_path, "#!/bin/sh\nexec sleep 60\n")
+    monkeypatch.setattr(sys, "executable", deaf)
+    monkeypatch.setattr(doorkeeper, "STOP_S", 1.0)
+    monkeypatch.setattr(subprocess, "Popen", Late)
+    keeper = Doorkeeper(Settings(publish=(f"ipc://{tmp_path}/stream",)))
+    assert begun.wait(PATIENCE_S)
+    join = keeper._thread.join
+
+    def then_join(seconds: float) -> None:
+        joined.set()  # the door starts once `close` waits for the thread
+        join(seconds)
+
+    monkeypatch.setattr(keeper._thread, "join", then_join)
+    keeper.close()
+    (process,) = started
+    try:
+        assert not keeper._thread.is_alive()
+    finally:
+        process.kill()
+
+
 GREEDY = """
-from taxeld.door import limits
-limits.limit()
+from taxeld.door import settings
+settings.limit()
 try:
     held = [bytearray(1 << 20) for _ in range(4096)]
 except MemoryError:

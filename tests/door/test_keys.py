@@ -1,8 +1,9 @@
 """Keys: who holds one gets everything, who does not gets nothing, and is counted."""
 
+import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from taxeld.stream import curve, topics
 from ..rig.processes import program, resident_bytes
 from . import attacks
 from .stand import ANYWHERE, Stand, pose, robots_endpoint
+
+ROBOT, CLIENTS = "tcp://192.0.2.1:8", "tcp://192.0.2.1:9"
 
 
 def pair(directory: Path, name: str) -> tuple[bytes, bytes]:
@@ -69,7 +72,9 @@ def keyed(keys: Path, tmp_path: Path) -> Iterator[Keyed]:
         yield made
 
 
-def test_only_the_holder_of_an_authorised_key_hears_anything(keyed: Keyed, tmp_path: Path) -> None:
+def test_only_the_holder_of_an_authorised_key_hears_or_asks_anything(
+    keyed: Keyed, tmp_path: Path
+) -> None:
     own = curve.secret_key(tmp_path / "client/client.key_secret")
     known = keyed.listener(*own)
     while keyed.received(known)[0] != topics.INFO:
@@ -82,16 +87,12 @@ def test_only_the_holder_of_an_authorised_key_hears_anything(keyed: Keyed, tmp_p
     for _ in range(20):
         keyed.received(known)
     assert not any(socket.poll(0) for socket in (stranger, plain, misled))
+    unheard, asking = keyed.listener(kind=zmq.REQ), keyed.listener(*own, kind=zmq.REQ)
+    for each in (unheard, asking):
+        each.send(b"\x81\xa3cmd\xa4info")
+    keyed.received(asking)
+    assert not unheard.poll(100)
     keyed.received(keyed.subscriber(b"/taxeld/e"))  # the socket file takes none
-
-
-def test_questions_take_keys_too(keyed: Keyed, tmp_path: Path) -> None:
-    own = curve.secret_key(tmp_path / "client/client.key_secret")
-    plain, known = keyed.listener(kind=zmq.REQ), keyed.listener(*own, kind=zmq.REQ)
-    for asking in (plain, known):
-        asking.send(b"\x81\xa3cmd\xa4info")
-    keyed.received(known)
-    assert not plain.poll(100)
 
 
 def test_newcomers_with_a_key_are_served_beside_a_flood_of_those_without_and_after_it(
@@ -139,44 +140,34 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
 
 
 @pytest.mark.parametrize(
-    ("damage", "fault"),
+    ("path", "text", "fault"),
     [
-        (lambda keys: (keys / "server.key_secret").unlink(), "server.key_secret is not there"),
-        (lambda keys: (keys / "server.key_secret").chmod(0o644), "is open to others; chmod 640"),
-        (lambda keys: (keys / "server.key_secret").write_text("x"), "is no certificate"),
-        (lambda keys: (keys / "robot.key").unlink(), "robot.key is not there"),
-        (lambda keys: (keys / "clients" / "client.key").unlink(), "no clients/*.key in"),
-        (
-            lambda keys: (keys / "clients" / "b.key").write_text('public-key = "short"'),
-            "b.key is no certificate",
-        ),
-        (lambda keys: (keys / "robot.key").write_text("public-key"), "robot.key is no certificate"),
-        (
-            lambda keys: (keys / "robot.key").write_text(f'public-key = "{"#" * 40}"'),
-            "robot.key is no certificate",
-        ),
+        ("server.key_secret", None, "server.key_secret is not there"),
+        ("server.key_secret", "x", "is no certificate"),
+        ("robot.key", None, "robot.key is not there"),
+        ("robot.key", "public-key", "robot.key is no certificate"),
+        ("robot.key", f'public-key = "{"#" * 40}"', "robot.key is no certificate"),
+        ("clients/client.key", None, "no clients/*.key in"),
+        ("clients/b.key", 'public-key = "short"', "b.key is no certificate"),
     ],
 )
 def test_keys_that_cannot_be_used_are_one_line(
-    keys: Path, damage: Callable[[Path], object], fault: str
+    keys: Path, path: str, text: str | None, fault: str
 ) -> None:
-    def load() -> None:
-        curve.relay_keys(str(keys), ["tcp://192.0.2.1:9"])
-        curve.robot_keys(str(keys), "tcp://192.0.2.1:8")
-
-    damage(keys)
-    with pytest.raises(SetupError) as error:
-        load()
-    assert str(error.value).startswith("curve.directory: ")
-    assert fault in str(error.value)
+    (keys / path).unlink() if text is None else (keys / path).write_text(text, encoding="ascii")
+    with pytest.raises(SetupError, match=rf"^curve\.directory: .*{re.escape(fault)}") as error:
+        curve.read_keys(str(keys), ROBOT, [CLIENTS])
     assert "\n" not in str(error.value)
 
 
-def test_a_secret_that_the_group_may_read_is_fine(keys: Path) -> None:
+def test_a_secret_may_be_read_by_the_group_and_by_nobody_else(keys: Path) -> None:
     (keys / "server.key_secret").chmod(0o640)
-    loaded = curve.relay_keys(str(keys), ["tcp://192.0.2.1:9"])
+    loaded = curve.read_keys(str(keys), "", [CLIENTS])
     assert loaded is not None
-    assert len(loaded.clients) == 1
+    assert (len(loaded.clients), loaded.robot) == (1, b"")
+    (keys / "server.key_secret").chmod(0o644)
+    with pytest.raises(SetupError, match="is open to others; chmod 640"):
+        curve.read_keys(str(keys), "", [])
 
 
 def test_the_documented_commands_make_a_pair_that_is_taken(tmp_path: Path) -> None:

@@ -10,8 +10,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from taxeld.door.heard import REASON_MAX
-from taxeld.door.robot import as_pose
+from taxeld.door.robot import REASON_MAX, as_pose
 
 from ..rig.processes import program
 from . import attacks
@@ -100,7 +99,7 @@ def test_the_next_pose_comes_at_once_where_the_loop_awaits_it(robot: Robot) -> N
         begin_s = time.monotonic()
         robot.socket.send_multipart(pose(float(number)))
         while robot.stand.poses[-1][1] != number:
-            robot.stand.keeper.look(robot.stand.link, time.monotonic())
+            robot.stand.keeper.look(time.monotonic())
             time.sleep(0.0005)
         took_s[is_asked].append(time.monotonic() - begin_s)
     assert statistics.median(took_s[True]) < statistics.median(took_s[False]) / 2

@@ -10,7 +10,7 @@ import pytest
 
 from taxeld import cli, command_line
 from taxeld.config.tables import ControlConfig, PublishConfig
-from taxeld.door import limits as door
+from taxeld.door import settings as door
 from taxeld.service.doorkeeper import CHANGE_GROUP
 from taxeld_ros2 import cli as bridge
 

@@ -17,7 +17,6 @@ from checks import check
 from touch import CONFIG, ON_VCAN0, PATIENCE_S, VCAN0, Touch, Unit, sh, until, vcan0_is_there
 
 from taxeld.config.tables import ControlConfig, LoopConfig
-from taxeld.door import limits as limits_of
 from taxeld.door import settings
 from taxeld.estimator.estimate import Status
 from taxeld.stream import client
@@ -96,8 +95,8 @@ def the_door_is_limited() -> str:
     text = (place / "limits").read_text("ascii")
     limits = dict(re.findall(r"^Max (.*?)  +\S+ +(\S+)", text, re.MULTILINE))
     wanted = {
-        "data size": limits_of.MEMORY_BYTES,
-        "open files": limits_of.DESCRIPTORS,
+        "data size": settings.MEMORY_BYTES,
+        "open files": settings.DESCRIPTORS,
         "processes": 0,
         "file size": 0,
         "core file size": 0,
@@ -107,7 +106,7 @@ def the_door_is_limited() -> str:
     assert {name: int(limits[name]) for name in wanted} == wanted, text
     assert int((place / "oom_score_adj").read_text("ascii")) == settings.OOM_SCORE
     assert os.sched_getscheduler(VCAN0.door) == os.SCHED_OTHER
-    return f"{limits_of.MEMORY_BYTES >> 20} MB"
+    return f"{settings.MEMORY_BYTES >> 20} MB"
 
 
 @check

@@ -12,7 +12,7 @@ import zmq
 
 from taxeld.config import endpoints
 from taxeld.config.tables import Config, SourceConfig
-from taxeld.door.binding import Binding, NotNowError
+from taxeld.door.binding import NotNowError, bound
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
@@ -127,19 +127,14 @@ def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
 
 
 def _read_keys(config: Config) -> None:
-    keys, relay = config.curve.directory, config.relay
-    curve.robot_keys(keys, config.sensor_pose.endpoint)
-    curve.relay_keys(keys, (*relay.publish, relay.control))
+    served = (*config.relay.publish, config.relay.control)
+    curve.read_keys(config.curve.directory, config.sensor_pose.endpoint, served)
 
 
 def _serve(endpoint: str, key: str) -> None:
     endpoints.make_directory(endpoint)
-    with (
-        contextlib.closing(Binding(endpoint, key)) as binding,
-        zmq.Context() as context,
-        context.socket(zmq.XPUB) as socket,
-    ):
-        binding.let_in(socket)
+    with zmq.Context() as context, context.socket(zmq.XPUB) as socket, bound(socket, endpoint, key):
+        pass
 
 
 def _down(source: SourceConfig) -> str:

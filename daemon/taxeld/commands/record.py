@@ -69,7 +69,6 @@ class Recording:
             track = PoseTrack(recorder.pose)
             tracks = [track, *(PoseTrack(beside.pose) for beside in recorder.beside)]
             link = Link({}, lambda *pose: tracks[pose[4]].add(*pose[:4], time.time()), {})
-            opened.callback(link.detach)
 
             def open_one(bus: SourceConfig, skin: Layout, first: int) -> Source:
                 source = open_source(bus, skin, recorder.of(first))
@@ -83,7 +82,7 @@ class Recording:
             door.wait(link)
             while not self.stopping and not self.failed:
                 now_s = time.monotonic()
-                door.look(link, now_s)
+                door.look(now_s)
                 scans, *further = (source.poll(now_s) for source in sources)
                 self.scans += sum(map(len, further))
                 self.scans += len(scans)

@@ -1,21 +1,45 @@
-"""The robot's sensor poses, and the connection they come by.
+"""Who publishes to the daemon: the robot its sensors' poses, an array its scans; by SUB.
 
-SUB to `/robot/sensor_pose`, a map {t, x, y, theta}. While no pose comes, whatever else the robot
-publishes is listened to for a moment, so that a wrong topic can be named.
+A pose is a map {t, x, y, theta} under `/robot/sensor_pose`. While none comes, whatever else the
+robot publishes is listened to for a moment, so that a wrong topic can be named.
 """
 
+import itertools
 import math
 import re
+import struct
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import zmq
 
-from taxeld.door.heard import REASON_MAX, Heard
-from taxeld.stream import pair
-from taxeld.stream.curve import RobotKeys
-from taxeld.stream.sockets import unpack
+from taxeld.stream import curve, pair
+from taxeld.stream.curve import Keys
+from taxeld.stream.link import PeerLine
+from taxeld.stream.sockets import connect, is_waiting, open_socket, unpack
 from taxeld.stream.topics import SENSOR_POSE
+from taxeld_protocol import array
+from taxeld_protocol.array import ArrayFrame
+
+MESSAGES_PER_LOOK = 200
+QUEUED = 256  # messages, between two looks as well
+REASON_MAX = 120  # characters of why a message is none
+AGAIN_S = 3.0  # without a connection for so long it is made anew
+FAILED = (
+    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+)
+WATCHED = (
+    zmq.EVENT_CONNECTED
+    | zmq.EVENT_HANDSHAKE_SUCCEEDED
+    | zmq.EVENT_DISCONNECTED
+    | zmq.EVENT_CLOSED
+    | FAILED
+)
+EVENT = struct.Struct("=HI")  # an event and its value: pyzmq's own reader brings all of asyncio
+NUMBERS = itertools.count()  # each monitor has a name of its own
 
 POSE_FRAMES = 3
 TOPICS_MAX, TOPIC_MAX = 4, 60  # other topics of the robot, and characters of each
@@ -25,58 +49,157 @@ DEGREES = "theta is beyond 1.5 turns: send radians from -pi to pi, not degrees"
 DEGREES_S = 30.0  # for so long after such an angle, the smaller ones of this robot are refused too
 NAME = re.compile(rb"[!-~]{0,%d}" % TOPIC_MAX)  # a topic up to where it is no text
 SILENT_S = 1.0  # without a pose for so long, other topics are listened to
-LISTEN_S, PAUSE_S = 3.0, 30.0  # for so long, and then not again
+LISTEN_S, PERIOD_S = 3.0, 33.0  # for so long in each such period
 
 Pose = tuple[float, float, float, float]
-OnPoses = Callable[[list[Pose], int], object]
+
+
+class Heard:
+    """A connection to somebody who publishes; a subclass takes the messages."""
+
+    topics: Sequence[bytes] = (b"",)  # prefixes of the messages that are wanted
+    largest = 65_536  # bytes of a message
+    key = ""  # of the configuration
+    is_awaited = True  # whether a message is to be taken at once
+
+    def __init__(self, context: zmq.Context[Any], endpoint: str, keys: Keys | None = None) -> None:
+        """Raises SetupError where the endpoint is none."""
+        self.line = PeerLine()
+        self._context, self._endpoint, self._keys = context, endpoint, keys
+        self._open()
+
+    def poll(self, now_s: float) -> None:
+        """Take the messages that have arrived; `now_s` is monotonic."""
+        for _ in range(MESSAGES_PER_LOOK):
+            if not is_waiting(self.socket):
+                return
+            self._take(now_s, self.socket.recv_multipart(zmq.NOBLOCK))
+
+    def look(self, now_s: float) -> None:
+        """Find out what has become of the connection, a few times a second."""
+        line = self.line
+        while is_waiting(self._monitor):
+            event = EVENT.unpack(self._monitor.recv_multipart()[0])[0]
+            self._is_half_open = event == zmq.EVENT_CONNECTED
+            if not self._is_half_open:
+                line.connected = event == zmq.EVENT_HANDSHAKE_SUCCEEDED
+            if event in (zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_CLOSED):  # or nobody is there
+                line.refused = False
+            line.refused |= bool(event & FAILED)
+        if line.connected:
+            self._lost_s = now_s
+        elif now_s > self._lost_s + AGAIN_S:
+            # after an error of the protocol ZeroMQ does not connect again by itself
+            line.refused |= self._is_half_open
+            self.socket.close()
+            self._monitor.close()
+            self._open()
+
+    def _take(self, now_s: float, parts: list[bytes]) -> None:
+        """A message has come."""
+        raise NotImplementedError
+
+    def _bad(self, reason: str) -> None:
+        """A message of the topic is none."""
+        self.line.malformed += 1
+        self.line.reason = pair.printable(reason)[:REASON_MAX]
+
+    def _open(self) -> None:
+        self.socket = open_socket(
+            self._context, zmq.SUB, send=len(self.topics) + 1, receive=QUEUED, largest=self.largest
+        )
+        # a queue of one would hold only one subscription
+        for topic in self.topics:
+            self.socket.setsockopt(zmq.SUBSCRIBE, topic)
+        if self._keys is not None:
+            keys = self._keys
+            curve.as_client(self.socket, keys.robot, keys.public, keys.secret)
+        where = f"inproc://heard-{next(NUMBERS)}"
+        self.socket.monitor(where, WATCHED)
+        self._monitor = self._context.socket(zmq.PAIR)
+        self._monitor.connect(where)
+        self._lost_s = time.monotonic()  # since when there is no connection
+        self._is_half_open = False  # without a handshake
+        connect(self.socket, self._endpoint, self.key)
+
+
+class Array(Heard):
+    """Arrays of any skin (docs/array.md): the map is the second frame, or the only one."""
+
+    largest = 262_144
+    key = "source.endpoint"
+
+    def __init__(
+        self, context: zmq.Context[Any], endpoint: str, on_array: Callable[[ArrayFrame], object]
+    ) -> None:
+        """Raises SetupError where the endpoint is none."""
+        super().__init__(context, endpoint)
+        self._on_array = on_array
+
+    def _take(self, now_s: float, parts: list[bytes]) -> None:  # noqa: ARG002
+        body = parts[len(parts) > 1]
+        is_text = body.lstrip()[:1] == b"{"  # msgpack's number 123
+        frame = array.parse(array.read_json(body) if is_text else unpack(body))
+        if isinstance(frame, str):
+            self._bad(frame)
+        else:
+            self._on_array(frame)
 
 
 class Robot(Heard):
-    """One endpoint."""
+    """The poses of the robot's sensors. One that comes is taken at once only while the loop awaits
+    it: a wake for each pose would cost more than all else that the door does."""
 
-    topic = SENSOR_POSE
     key = "sensor_pose.endpoint"
 
     def __init__(
         self,
         context: zmq.Context[Any],
         endpoint: str,
-        on_poses: OnPoses,
-        keys: RobotKeys | None,
-        now_s: float,
+        on_poses: Callable[[list[Pose], int], object],
+        keys: Keys | None,
         topics: Sequence[str] = (),
     ) -> None:
-        """`topics`: of the links' sensors, where there are several; `on_poses` is given
-        up to `pair.POSES_MAX` well-formed poses, and the number of their link; `now_s` is
-        monotonic.
+        """`topics`: of the links' sensors, where there are several; `on_poses` is given well-formed
+        poses, and the number of their link.
 
         Raises:
             SetupError: the endpoint is none.
         """
-        self.is_awaited = False  # whether the loop waits for the next pose
+        self.is_awaited = False
         self._on_poses = on_poses
         # the links' topics with their numbers, and their poses that have not been passed on
         self._links = {topic.encode(): k for k, topic in enumerate(topics)} or {SENSOR_POSE: 0}
         self._came: list[list[Pose]] = [[] for _ in self._links]
-        self._pose_s = now_s  # when the last one came
-        self._listens_s: float | None = None  # since when to other topics
-        self._pauses_s = -math.inf  # until then not again
+        self.topics = list(self._links)
+        self._silent_s = time.monotonic()  # since when no pose has come by this connection
+        self._listens = False  # to other topics
         self._doubted_s = -math.inf  # until then small angles are taken to be in degrees
-        super().__init__(context, endpoint, keys)
+        super().__init__(context, endpoint, keys if keys and keys.robot else None)
 
-    def look(self, now_s: float) -> bool:
-        if super().look(now_s):
-            return True
-        self._listen(now_s)
-        return False
+    def poll(self, now_s: float) -> None:
+        super().poll(now_s)
+        for link, poses in enumerate(self._came):
+            if poses:
+                self._on_poses(poses, link)
+            poses.clear()
+
+    def look(self, now_s: float) -> None:
+        was_connected = self.line.connected
+        super().look(now_s)
+        if self.line.connected and not was_connected:  # another publisher, or this one mended
+            self._silent_s, self._doubted_s = now_s, -math.inf
+        silent_s = (now_s - self._silent_s) % PERIOD_S
+        listens = self.line.connected and SILENT_S < silent_s < SILENT_S + LISTEN_S
+        if listens is not self._listens:
+            self._listens = listens
+            self.socket.setsockopt(zmq.SUBSCRIBE if listens else zmq.UNSUBSCRIBE, b"")
+            if listens:
+                self.line.topics.clear()
 
     def _open(self) -> None:
-        self._listens_s = None
+        self._listens = False
         super()._open()
-
-    @property
-    def topics(self) -> list[bytes]:
-        return sorted({self.topic, *self._links})
 
     def _take(self, now_s: float, parts: list[bytes]) -> None:
         link = self._links.get(parts[0])
@@ -84,7 +207,7 @@ class Robot(Heard):
         if link is None and not is_glued:  # its prefix is all that ZeroMQ looks at
             name = NAME.findall(parts[0])[0].decode() or "a topic that is no text"
             known = self.line.topics
-            if self._listens_s is not None and name not in known and len(known) < TOPICS_MAX:
+            if self._listens and name not in known and len(known) < TOPICS_MAX:
                 known.append(name)
             return
         pose = as_pose(parts)
@@ -93,37 +216,11 @@ class Robot(Heard):
         elif now_s < self._doubted_s and not isinstance(pose, str):
             pose = DEGREES
         if isinstance(pose, str):
-            self.line.malformed += 1
-            self.line.reason = pair.printable(pose)[:REASON_MAX]
-            return
-        self._pose_s, self.is_awaited = now_s, False
-        came = self._came[link or 0]
-        came.append(pose)
-        if len(came) == pair.POSES_MAX:
-            self._pass_on()
-
-    def _pass_on(self) -> None:
-        for link, came in enumerate(self._came):
-            if came:
-                self._on_poses(came, link)
-            came.clear()
-
-    def _note(self, event: int, now_s: float) -> None:
-        super()._note(event, now_s)
-        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            self._doubted_s = -math.inf  # another publisher, or this one mended
-
-    def _listen(self, now_s: float) -> None:
-        is_missed = self.line.connected and now_s > self._pose_s + SILENT_S
-        if self._listens_s is None:
-            if is_missed and now_s >= self._pauses_s:
-                self._listens_s, self.line.topics = now_s, []
-                self.socket.setsockopt(zmq.SUBSCRIBE, b"")
-        elif not is_missed or now_s > self._listens_s + LISTEN_S:
-            self._listens_s, self._pauses_s = None, now_s + PAUSE_S
-            self.socket.setsockopt(zmq.UNSUBSCRIBE, b"")
-        if now_s <= self._pose_s + SILENT_S:
-            self.line.topics, self._pauses_s = [], -math.inf
+            self._bad(pose)
+        else:
+            self._silent_s, self.is_awaited = now_s, False
+            self.line.topics.clear()
+            self._came[link or 0].append(pose)
 
 
 def as_pose(parts: list[bytes]) -> Pose | str:

@@ -1,26 +1,37 @@
-"""What the door is told of the configuration, as text on its command line."""
+"""What the door is told, as text on its command line, and what the kernel lets it use."""
 
-import json
-from dataclasses import asdict, dataclass
-from typing import Self
+import resource
+from collections.abc import Sequence
+from dataclasses import dataclass
 
+REFUSED = 2  # exit status of a door that cannot serve
 OOM_SCORE = 1000  # where memory is short, the door goes first, however little it has
+MEMORY_BYTES = 192 << 20  # data of the process, stacks included
+DESCRIPTORS = 16_384  # without one left ZeroMQ ends the process
+LIMITS = {
+    resource.RLIMIT_DATA: MEMORY_BYTES,
+    resource.RLIMIT_NOFILE: DESCRIPTORS,
+    resource.RLIMIT_MEMLOCK: 0,
+    resource.RLIMIT_FSIZE: 0,
+    resource.RLIMIT_CORE: 0,
+    resource.RLIMIT_RTPRIO: 0,
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Endpoints, and who may use them."""
+    """Endpoints, and who may use them; an empty one is not served, or not heard."""
 
-    publish: tuple[str, ...]  # ipc
-    control: str  # ipc; empty: none
-    change_group: str  # its members may tare and reset at `control`
-    robot: str  # endpoint of the sensor's poses; empty: none
-    queue: int  # messages that wait for a slow subscriber
-    relay_publish: tuple[str, ...] = ()  # TCP
-    relay_control: str = ""  # TCP; empty: none
-    relay_change: bool = False  # tare and reset are taken there
-    topics: tuple[str, ...] = ()  # of the links' poses, where there are several
-    array: str = ""  # where arrays are heard; empty: nowhere
+    publish: Sequence[str] = ()  # ipc
+    control: str = ""  # ipc
+    change_group: str = ""  # its members may change something at `control`
+    robot: str = ""  # where the sensor's poses come from
+    topics: Sequence[str] = ()  # of the links' poses, where there are several
+    array: str = ""  # where arrays come from
+    queue: int = 40  # messages that wait for a slow subscriber
+    relay_publish: Sequence[str] = ()  # TCP
+    relay_control: str = ""  # TCP
+    relay_change: bool = False  # changes are taken there
     estimates: bool = True  # there is an object, of which estimates are published
     keys: str = ""  # directory of CURVE's keys; empty: none
 
@@ -30,11 +41,15 @@ class Settings:
         named = (*self.publish, *self.relay_publish, self.control, self.relay_control)
         return any((*named, self.robot, self.array, self.keys))
 
-    def dump(self) -> str:
-        return json.dumps(asdict(self))
 
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        given = json.loads(text)
-        lists = {name: tuple(given[name]) for name in ("publish", "relay_publish", "topics")}
-        return cls(**given | lists)
+def limit() -> None:
+    """Have the kernel end the door, and nothing else, where it uses more."""
+    for what, most in LIMITS.items():
+        hard = resource.getrlimit(what)[1]
+        least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(what, (least, least))
+
+
+def start_no_more() -> None:
+    """No further thread or process; of root the kernel does not ask this."""
+    resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))

@@ -4,14 +4,12 @@ A message that a subscriber does not fetch in time is lost for that subscriber a
 """
 
 import math
-import os
-from collections import Counter
 from collections.abc import Collection, Iterable, Set
 from typing import Any
 
 import zmq
 
-from taxeld.stream.sockets import connection_of, is_waiting, open_socket
+from taxeld.stream.sockets import is_waiting, open_socket
 from taxeld.stream.topics import INFO, TOPICS
 
 BEGIN, END = b"\x01", b"\x00"  # the byte before a prefix of topics
@@ -23,23 +21,27 @@ INFO_S = 0.1  # at least, between two greetings
 
 
 class Streams:
-    """Endpoints of one kind: all plain, or all with keys, as a socket is either."""
+    """One endpoint, to be bound."""
 
-    def __init__(self, socket: zmq.Socket[Any]) -> None:
-        """`socket`: from `open_publisher`."""
-        self.socket = socket
-        self._prefixes: Counter[bytes] = Counter()  # connections that hear a prefix of our topics
-        self._asked: dict[tuple[int, int], set[bytes]] = {}  # by descriptor and inode
+    is_awaited = True
+
+    def __init__(self, context: zmq.Context[Any], queue: int) -> None:
+        """`queue`: messages that are kept for a slow subscriber."""
+        self.socket = open_socket(
+            context, zmq.XPUB, send=queue, receive=EVENTS_QUEUED, largest=PREFIX_MAX
+        )
+        self.socket.setsockopt(zmq.SNDBUF, SEND_BYTES)
+        self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)  # else further subscribers go unnoticed
+        self._prefixes = set[bytes]()  # of topics that somebody hears
         self._greets = False
         self._next_info_s = -math.inf
 
     @property
     def wanted(self) -> Set[bytes]:
         """Topics that somebody has subscribed to."""
-        begins = tuple(self._prefixes)
-        return {topic for topic in TOPICS if topic.startswith(begins)} if begins else set()
+        return {topic for topic in TOPICS if topic.startswith(tuple(self._prefixes))}
 
-    def listen(self) -> None:
+    def poll(self, now_s: float) -> None:  # noqa: ARG002
         """Take subscriptions."""
         for _ in range(EVENTS_PER_LOOK):
             if not is_waiting(self.socket):
@@ -57,49 +59,22 @@ class Streams:
         """A message: topic, map and time."""
         self.socket.send_multipart(list(frames), flags=zmq.NOBLOCK)
 
-    def look(self) -> None:
-        """Find who has gone."""
-        for number, inode in list(self._asked):
-            if _inode(number) != inode:
-                self._prefixes -= Counter(self._asked.pop((number, inode)))
-
-    def close(self) -> None:
-        self.socket.close()
-
     def _take(self, frame: zmq.Frame) -> None:
-        number = connection_of(frame)
-        if number is None:  # ZeroMQ's own, for a connection that has ended: `look` finds it
-            return
-        inode = _inode(number)
-        if inode is not None:
-            self._hear(self._asked.setdefault((number, inode), set()), frame.bytes)
-
-    def _hear(self, asked: set[bytes], event: bytes) -> None:
-        """A subscription is 1 and a prefix of topics, the end of one is 0 and that."""
+        """The end of a prefix is believed only of ZeroMQ itself, which tells it when the last who
+        hears the prefix has gone: a peer could name one that it does not hear."""
+        event = frame.bytes
         first, prefix = event[:1], event[1:]
-        is_ours = any(topic.startswith(prefix) for topic in TOPICS)
-        if first == BEGIN and is_ours:
+        if first == BEGIN and any(topic.startswith(prefix) for topic in TOPICS):
+            self._prefixes.add(prefix)
             self._greets |= INFO.startswith(prefix)
-            if prefix not in asked:
-                asked.add(prefix)
-                self._prefixes[prefix] += 1
-        elif first == END and prefix in asked:
-            asked.remove(prefix)
-            self._prefixes -= Counter([prefix])
+        elif first == END and not _is_of_peer(frame):
+            self._prefixes.discard(prefix)
 
 
-def _inode(number: int) -> int | None:
+def _is_of_peer(frame: zmq.Frame) -> bool:
+    """Whether it came by a connection."""
     try:
-        return os.fstat(number).st_ino
-    except OSError:
-        return None
-
-
-def open_publisher(context: zmq.Context[Any], queue: int) -> zmq.Socket[Any]:
-    """An XPUB that keeps `queue` messages for a slow subscriber and hears each subscription."""
-    socket = open_socket(context, zmq.XPUB, send=queue, receive=EVENTS_QUEUED, largest=PREFIX_MAX)
-    socket.setsockopt(zmq.SNDBUF, SEND_BYTES)
-    # without these a second subscriber of a topic, and the end of one of two, go unnoticed
-    socket.setsockopt(zmq.XPUB_VERBOSE, 1)
-    socket.setsockopt(zmq.XPUB_VERBOSER, 1)
-    return socket
+        frame.get(zmq.SRCFD)
+    except zmq.ZMQError:
+        return False
+    return True

@@ -63,7 +63,6 @@ class Daemon:
             self.kept = Store(self.config, self.pipeline)
             changes = {"tare": self.pipeline.tare, "reset": self._reset, "prior": self._prior}
             self.link = Link(self._info(), self.on_pose, changes)
-            opened.callback(self.link.detach)
             opened.callback(self.kept.close)
             if recorder:
                 opened.enter_context(recorder)
@@ -151,7 +150,7 @@ class Daemon:
         # poses, subscriptions and changes; while nothing needs them, only now and then
         if any(ready) or pipeline.has_waiting or now_s >= self._next_look_s:
             self._next_look_s = now_s + LOOK_S
-            self.door.look(self.link, now_s)
+            self.door.look(now_s)
         scans, *further = self.inputs.poll(now_s)
         has_scans = bool(scans) or any(further)
         source_us = (time.perf_counter_ns() - start_ns) / 1000.0

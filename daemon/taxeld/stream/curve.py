@@ -23,20 +23,13 @@ OWN, CLIENTS, ROBOT = "server.key_secret", "clients", "robot.key"
 
 
 @dataclass(frozen=True, slots=True)
-class RobotKeys:
-    """The door's own pair, and the robot's public key; Z85."""
+class Keys:
+    """The keys of a daemon; Z85."""
 
     public: bytes
     secret: bytes
-    robot: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class RelayKeys:
-    """The door's secret key, and the public ones of its clients; Z85."""
-
-    secret: bytes
-    clients: frozenset[bytes]
+    robot: bytes  # the robot's public key; empty: its poses come without keys
+    clients: frozenset[bytes]  # public keys of the clients over TCP; empty: those take no keys
 
 
 def takes_keys(endpoint: str) -> bool:
@@ -44,36 +37,27 @@ def takes_keys(endpoint: str) -> bool:
     return endpoint.startswith(endpoints.TCP) and not endpoints.is_local(endpoint)
 
 
-def robot_keys(directory: str, endpoint: str) -> RobotKeys | None:
-    """The keys for the robot's poses; None where they come plainly. `directory` is empty where no
-    keys are used.
+def read_keys(directory: str, robot: str, served: Iterable[str]) -> Keys | None:
+    """The keys that these endpoints need; None without a directory. It must hold the daemon's own
+    pair, whichever endpoints take keys.
 
     Raises:
         SetupError: a key is missing, damaged or open to others.
     """
-    own = _own(directory)
-    if own is None or not takes_keys(endpoint):
+    if not directory:
         return None
-    return RobotKeys(*own, public_key(Path(directory) / ROBOT))
-
-
-def relay_keys(directory: str, served: Iterable[str]) -> RelayKeys | None:
-    """The keys for the endpoints that are served over TCP; None where all of them are plain.
-
-    Raises:
-        SetupError: a key is missing, damaged or open to others.
-    """
-    own = _own(directory)
-    if own is None or not any(takes_keys(endpoint) for endpoint in served):
-        return None
-    place = Path(directory) / CLIENTS
-    clients = [public_key(path) for path in sorted(place.glob("*.key"))]
-    if not clients:
-        raise SetupError(
-            f"{KEY}: no {CLIENTS}/*.key in {directory}; copy the public keys of those "
-            "who may subscribe there"
-        )
-    return RelayKeys(own[1], frozenset(clients))
+    place = Path(directory)
+    public, secret = secret_key(place / OWN)
+    robots = public_key(place / ROBOT) if takes_keys(robot) else b""
+    clients = frozenset[bytes]()
+    if any(map(takes_keys, served)):
+        clients = frozenset(map(public_key, sorted((place / CLIENTS).glob("*.key"))))
+        if not clients:
+            raise SetupError(
+                f"{KEY}: no {CLIENTS}/*.key in {directory}; copy the public keys of those "
+                "who may subscribe there"
+            )
+    return Keys(public, secret, robots, clients)
 
 
 def public_key(path: Path, asked_by: str = KEY) -> bytes:
@@ -96,11 +80,6 @@ def as_client(socket: zmq.Socket[Any], server: bytes, public: bytes, secret: byt
     socket.setsockopt(zmq.CURVE_SERVERKEY, server)
     socket.setsockopt(zmq.CURVE_PUBLICKEY, public)
     socket.setsockopt(zmq.CURVE_SECRETKEY, secret)
-
-
-def _own(directory: str) -> tuple[bytes, bytes] | None:
-    """The own pair, which a directory that is named must hold, whoever asks for keys."""
-    return secret_key(Path(directory) / OWN) if directory else None
 
 
 def _certificate(path: Path, asked_by: str) -> tuple[bytes, bytes | None]:

@@ -1,7 +1,7 @@
 """The loop's end of the pair: messages go out, and what the door says is done.
 
-The door is ours, so its packets are trusted for their form; their time and number are bounded, as
-peers have a part in them.
+The door is ours, so its packets are trusted for their form. How many are taken at once is bounded,
+as peers have a part in them; those that the pair has no room for are lost in the door.
 """
 
 import logging
@@ -19,9 +19,6 @@ from taxeld.stream.topics import INFO
 from taxeld_protocol.array import ArrayFrame
 
 PACKETS_PER_LOOK = 64
-PACKETS_HZ = 20_000.0  # packets and poses a second, beyond which the door is let go
-CHANGES_HZ = 20.0  # tare, reset and priors that are done, at most
-LINES_HZ = 20.0  # lines of the door that are logged, at most
 HEARD_S = 1.5  # without a packet for so long, what the door last reported is of the past
 SILENT_S = 5.0  # without a packet for so long, the door hangs
 START_S = 30.0  # the same while a door starts: a busy machine takes seconds for it
@@ -54,22 +51,6 @@ class Report:
     unbound: int = 0  # TCP endpoints that are tried again
 
 
-class Allowance:
-    """So many a second, and as many at once."""
-
-    def __init__(self, rate_hz: float) -> None:
-        self._rate_hz = self.left = rate_hz
-
-    def pass_s(self, seconds: float) -> None:
-        """Time has passed."""
-        self.left = min(self.left + self._rate_hz * seconds, self._rate_hz)
-
-    def take(self, number: float = 1.0) -> bool:
-        """Whether so many were left."""
-        self.left -= number
-        return self.left >= 0.0
-
-
 class Link:
     """Messages to whoever is the door now; poses, changes and reports from it."""
 
@@ -84,43 +65,32 @@ class Link:
         self.is_ready = False
         self.fault = ""  # why the door has ended, if it said so
         self.on_array: OnArray = lambda _: None
+        # the loop's end of the pair, readable when the door has spoken; each door has its own
+        self.end: socket.socket | None = None
         self._pack: Callable[[object], bytes] = msgpack.Packer().pack
         self._info = self._pack(info)
         self._on_pose = on_pose
         self._handlers = handlers
-        self._socket: socket.socket | None = None
         self._wanted = frozenset[bytes]()
         self._silent_s = self._looked_s = 0.0
-        self._begin()
-
-    @property
-    def end(self) -> socket.socket | None:
-        """The loop's end of the pair, readable when the door has spoken; each door has its own."""
-        return self._socket
 
     @property
     def is_heard(self) -> bool:
         """Whether the door speaks: it reports once a second."""
         return self._silent_s < HEARD_S
 
-    def _begin(self) -> None:
-        rates = PACKETS_HZ, CHANGES_HZ, LINES_HZ
-        self._packets, self._changes, self._lines = map(Allowance, rates)
-
     def attach(self, end: socket.socket, now_s: float) -> None:
         """A new door; `now_s` is monotonic."""
         self.detach()
-        self._socket, self.fault = end, ""
+        self.end, self.fault, self.report = end, "", Report()
         self._looked_s, self._silent_s = now_s, 0.0
-        self._begin()
-        self.report = Report()
         self._give(Kind.MESSAGE, INFO, 0.0, self._info)
 
     def detach(self) -> None:
         """The door is gone, or is to go."""
-        if self._socket is not None:
-            self._socket.close()
-        self._socket, self.is_ready, self._wanted = None, False, frozenset()
+        if self.end is not None:
+            self.end.close()
+        self.end, self.is_ready, self._wanted = None, False, frozenset()
         self.report.robot.connected = self.report.array.connected = False
 
     def wants(self, topic: bytes) -> bool:
@@ -151,19 +121,13 @@ class Link:
 
     def look(self, now_s: float) -> None:
         """Take what the door has said, up to a bound; without a word for too long it is let go."""
-        passed_s = now_s - self._looked_s
+        self._silent_s += min(now_s - self._looked_s, LOOK_MOST_S)
         self._looked_s = now_s
-        self._silent_s += min(passed_s, LOOK_MOST_S)
-        for each in (self._packets, self._changes, self._lines):
-            each.pass_s(passed_s)
         for _ in range(PACKETS_PER_LOOK):
-            if self._socket is None or not self._take_next(self._socket):
+            if self.end is None or not self._take_next(self.end):
                 break
-        if self._socket is None:
-            return
-        hangs = self._silent_s > (SILENT_S if self.is_ready else START_S)
-        if hangs or self._packets.left < 0.0:
-            log.warning("door: %s", "hangs" if hangs else "sends without end")
+        if self.end is not None and self._silent_s > (SILENT_S if self.is_ready else START_S):
+            log.warning("door: hangs")
             self.detach()
 
     def _take_next(self, end: socket.socket) -> bool:
@@ -172,23 +136,20 @@ class Link:
             packet = pair.receive(end)
             if packet is not None:
                 self._silent_s = 0.0
-                self._packets.take()
                 self._take(*packet)
+            return packet is not None
         except ConnectionResetError:  # the kernel says so ahead of what the door has sent
             return True
         except (EOFError, OSError):
             self.detach()
-            return False
         except Exception as error:  # a fault of ours ends neither the loop nor its recording
             self._say("a packet of the door", error)
             self.detach()
-            return False
-        return packet is not None
+        return False
 
     def _take(self, kind: int, values: list[Any]) -> None:
         match kind, values:
             case Kind.POSES, [link, poses]:
-                self._packets.take(len(poses))
                 for t, x, y, theta in poses:
                     self._on_pose(t, x, y, theta, link)
             case Kind.ARRAY, [t, name, rest, counts]:
@@ -201,8 +162,7 @@ class Link:
                 robot, array = (PeerLine(**report.pop(name)) for name in ("robot", "array"))
                 self.report = Report(robot, array, **report)
             case Kind.LOG, [level, line]:
-                if self._lines.take():
-                    log.log(level, "door: %s", line)
+                log.log(level, "door: %s", line)
             case Kind.READY, []:
                 self.is_ready = True
             case Kind.FAULT, [line]:
@@ -212,8 +172,6 @@ class Link:
 
     def _done(self, command: str, arguments: Mapping[str, Any]) -> str:
         """Do what a client asks; → why it was not done, empty where it was."""
-        if not self._changes.take():
-            return f"more than {CHANGES_HZ:.0f} a second are not done; ask again"
         try:
             return self._handlers[command](**arguments) or ""
         except Exception as error:
@@ -228,9 +186,9 @@ class Link:
         log.error("%s: failed at %s:%s (%s: %s)", what, at.filename, at.lineno, kind, error)
 
     def _give(self, kind: Kind, *values: object) -> None:
-        if self._socket is None:
+        if self.end is None:
             return
         try:
-            self.unsent += not pair.send(self._socket, kind, *values)
+            self.unsent += not pair.send(self.end, kind, *values)
         except OSError:  # the door is gone, which the next look finds
             self.unsent += 1

@@ -30,7 +30,6 @@ from typing import Any
 import msgpack
 
 PACKET_MAX = 65_536  # bytes
-POSES_MAX = 100  # poses in a packet
 TEXT_MAX = 500  # characters of a line
 
 

@@ -1,9 +1,5 @@
-"""What all sockets of ZeroMQ's share: options, and who is at the other end."""
+"""What all sockets of ZeroMQ's share: their options, connections, and maps that are received."""
 
-import errno
-import os
-import socket as kernel
-import struct
 from typing import Any
 
 import msgpack
@@ -12,7 +8,6 @@ import zmq
 from taxeld.errors import SetupError
 
 HANDSHAKE_MS = 5000  # a peer that has not said who it is by then is let go
-CREDENTIALS = struct.Struct("3i")
 KEEPALIVE_S = 10  # the kernel asks a silent peer beyond this machine, and lets a dead one go
 KEEPALIVE_TRIES = 3
 # as plain numbers: pyzmq takes long over its enumerations
@@ -69,59 +64,3 @@ def unpack(body: bytes) -> dict[str, Any]:
 def is_waiting(socket: zmq.Socket[Any]) -> bool:
     """Whether there is something to receive; cheaper than an exception."""
     return bool(int(socket.get(EVENTS)) & WAITING)
-
-
-def connection_of(frame: zmq.Frame) -> int | None:
-    """The descriptor of the connection that `frame` came by; None where ZeroMQ made it itself."""
-    try:
-        return int(frame.get(zmq.SRCFD))
-    except zmq.ZMQError:
-        return None
-
-
-def sender(frame: zmq.Frame) -> kernel.socket:
-    """The connection of the peer that sent `frame`, to be closed without closing ZeroMQ's own.
-
-    Raises:
-        OSError: ZeroMQ has closed it, and its number may be another connection's by now.
-    """
-    number = connection_of(frame)
-    if number is None:
-        raise OSError(errno.ENOTCONN, "ZeroMQ's own")
-    connection = borrowed(number)
-    try:
-        if str(frame.get("Peer-Address")) != _peer(connection):
-            raise OSError(errno.ENOTCONN, "another connection")
-    except OSError:
-        connection.close()
-        raise
-    return connection
-
-
-def borrowed(number: int) -> kernel.socket:
-    """The kernel's socket of a descriptor that is ZeroMQ's, to be closed without closing that.
-
-    Raises:
-        OSError: it is none.
-    """
-    copy = os.dup(number)
-    try:
-        return kernel.socket(fileno=copy)
-    except OSError:
-        os.close(copy)
-        raise
-
-
-def _peer(connection: kernel.socket) -> str:
-    """Who is at the other end, as ZeroMQ writes it."""
-    if connection.family != kernel.AF_UNIX:
-        return str(connection.getpeername()[0])
-    pid, uid, gid = credentials(connection)
-    return f"localhost:{uid}:{gid}:{pid}"
-
-
-def credentials(connection: kernel.socket) -> tuple[int, int, int]:
-    """Process, user and group at the other end of a Unix socket, when it connected."""
-    packed = connection.getsockopt(kernel.SOL_SOCKET, kernel.SO_PEERCRED, CREDENTIALS.size)
-    pid, uid, gid = CREDENTIALS.unpack(packed)
-    return pid, uid, gid

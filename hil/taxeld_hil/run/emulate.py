@@ -1,12 +1,11 @@
 """The virtual skin on a moving robot, in real time and alone; it records the session as it goes."""
 
 import time
-from contextlib import closing
 from pathlib import Path
 
 import zmq
 
-from taxeld.door.binding import Binding
+from taxeld.door.binding import bound
 from taxeld_hil.rig.bench import Bench, recorded
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario.scenario import Scenario
@@ -27,14 +26,9 @@ def emulate(
             session.
     """
     rig = Rig(scenario.one_link(), seed)
-    with (
-        zmq.Context() as context,
-        closing(Binding(endpoint, "--poses")) as door,
-        context.socket(zmq.XPUB) as poses,
-    ):
+    with zmq.Context() as context, context.socket(zmq.XPUB) as poses:
         poses.setsockopt(zmq.LINGER, 0)
-        door.let_in(poses)
-        with recorded(rig, where, poses, directory) as bench:
+        with bound(poses, endpoint, "--poses"), recorded(rig, where, poses, directory) as bench:
             return _serve(bench)
 
 
