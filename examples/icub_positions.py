@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taxeld.layout import normals
+from taxeld.layout import fit
 
 SLOTS = 12  # of a triangle
 PADS = (6, 10)  # slots of the common triangle that are thermal pads; a palm's are taxels
@@ -32,7 +32,7 @@ def table(text: str) -> str:
     kept = [i for i, row in enumerate(rows) if row.any() and _is_taxel(i, middles)]
     position, normal = rows[kept, :3], rows[kept, 3:]
     if not np.ptp(normal, axis=0).any():  # none is given, or one for all
-        normal = normals.of_positions(position, NEAR)
+        normal = fit.normals(position, NEAR)
     lines = ["uid,x,y,z,nx,ny,nz"]
     for i, numbers in zip(kept, np.hstack([position, normal]).tolist(), strict=True):
         lines.append(f"{i // SLOTS << 4 | i % SLOTS},{','.join(map(repr, numbers))}")

@@ -106,7 +106,7 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, flags: list[str
     [
         (["--source", "usb0"], "--source: 'usb0' is no connection; use can:can0, slcan:"),
         (["--bundle", "n" * 5000], "scene.bundle: no bundle 'nnnn"),
-        (["--layout", "cylinder:rowz=5"], "skin.layout: unknown cylinder key 'rowz'; use 'cyl"),
+        (["--layout", "cylinder:rowz=5"], "skin.layout: cylinder: rowz: unknown key; did you"),
         (
             ["--where", "0.8", "left", "1"],
             "--where: '0.8 left 1' is no X Y HALF in metres, as 0.8 0",

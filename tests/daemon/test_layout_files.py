@@ -1,15 +1,17 @@
-"""robotskinlib files: every trap of the format on a small file of its own."""
+"""Layout files: every trap of the formats on a small file of its own; real skins' files."""
 
 import dataclasses
 import json
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from taxeld.commands.layout import arc_rad, pitch_m, tilted
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
@@ -20,6 +22,10 @@ from taxeld_protocol.modules import NAMES
 from tests.rig.skins import table_of
 
 RADIUS_M = 0.05
+ROOT = Path(__file__).parents[2]
+REAL = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared")) / "data" / "layouts"
+RING = layouts.load("cylinder:rows=3,columns=16,radius_m=0.05,pitch_m=0.01")
+Change = Callable[[dict[str, Any], list[dict[str, Any]]], object]
 
 
 def taxel(i: int) -> dict[str, Any]:
@@ -31,291 +37,270 @@ def taxel(i: int) -> dict[str, Any]:
 
 
 def document(taxels: int = 40) -> dict[str, Any]:
+    tf_matrix = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0.1, 0.2, 0.3, 1]
     return {
         "info": {"file_version": "2", "type": "rigid_body", "name": "link"},
         "skin": {
             "n_taxels": taxels,
             "n_faces": 0,
-            "parent_frames": [
-                {"key": 0, "tf_matrix": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0.1, 0.2, 0.3, 1]}
-            ],
+            "parent_frames": [{"key": 0, "tf_matrix": tf_matrix}],
             "taxels": [taxel(i) for i in range(taxels)],
             "faces": [],
         },
     }
 
 
-class Folder:
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def load(self, content: Any) -> Layout:
-        file = self.path / "skin.json"
-        file.write_text(json.dumps(content), encoding="utf-8")
-        return layouts.load(str(file))
-
-    def fault(self, content: Any) -> str:
-        """What is said of a document, without the path."""
-        with pytest.raises(SetupError) as caught:
-            self.load(content)
-        message, prefix = str(caught.value), f"skin.layout: {self.path}/skin.json: "
-        assert "\n" not in message
-        assert message.startswith(prefix)
-        return message.removeprefix(prefix)
+def read(place: Path, content: Any, name: str = "skin.json") -> Layout:
+    """The layout of a document, of text or of bytes."""
+    if not isinstance(content, str | bytes):
+        content = json.dumps(content)
+    data = content.encode() if isinstance(content, str) else content
+    (place / name).write_bytes(data)
+    return layouts.read(str(place / name))
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Folder:
-    return Folder(tmp_path)
+def fault(place: Path, content: Any, name: str = "skin.json") -> str:
+    """What is said of it, without the path."""
+    with pytest.raises(SetupError) as caught:
+        read(place, content, name)
+    message, prefix = str(caught.value), f"skin.layout: {place}/{name}: "
+    assert message.isprintable()
+    assert message.startswith(prefix)
+    return message.removeprefix(prefix)
 
 
-class TestRobotskinlib:
-    def test_taxels_come_in_file_order_in_the_sensor_frame(self, folder):
-        skin = folder.load(document())
-        assert skin.name == "skin"
-        assert skin.uid.tolist() == [taxel(i)["id"] for i in range(40)]
-        assert skin.radius_m == pytest.approx(RADIUS_M)
-        assert skin.rms_m < 1e-9
-        np.testing.assert_allclose(
-            skin.position_m[:, 2], np.repeat(range(-2, 3), 8) * 0.008, atol=1e-12
-        )
-        outwards = skin.position_m * [1 / RADIUS_M, 1 / RADIUS_M, 0]
-        np.testing.assert_allclose(skin.normal, outwards, atol=1e-12)
-
-    def test_frame_takes_the_files_positions_to_the_sensor(self, folder):
-        skin = folder.load(document())
-        there = np.array([[*taxel(i)["x"], 1.0] for i in range(40)]) @ skin.frame.T
-        np.testing.assert_allclose(there[:, :3], skin.position_m, atol=1e-12)
-        np.testing.assert_allclose(skin.frame[:3, :3] @ [0, 1, 0], [0, 0, 1], atol=1e-12)
-        np.testing.assert_allclose(skin.frame[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-12)
-
-    def test_tf_matrix_is_column_major(self, folder):
-        parent = folder.load(document()).source.parent
-        expected = [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]]
-        np.testing.assert_allclose(parent, expected)
-
-    def test_tf_matrix_row_by_row_is_refused(self, folder):
-        wrong = document()
-        frame = wrong["skin"]["parent_frames"][0]
-        frame["tf_matrix"] = np.reshape(frame["tf_matrix"], (4, 4)).T.ravel().tolist()
-        message = folder.fault(wrong)
-        assert message.startswith("skin.parent_frames[0].tf_matrix: ")
-        assert "transpose" in message
-
-    @pytest.mark.parametrize("frames", [None, [], [{"key": 0}], {}])
-    def test_parent_frame_may_be_absent(self, folder, frames):
-        file = document()
-        file["skin"]["parent_frames"] = frames
-        assert folder.load(file).source.parent is None
-
-    def test_millimetres_are_told_by_the_extent(self, folder):
-        file = document()
-        for t in file["skin"]["taxels"]:
-            t["x"] = [1e3 * v for v in t["x"]]
-        matrix = file["skin"]["parent_frames"][0]["tf_matrix"]
-        matrix[12:15] = [1e3 * v for v in matrix[12:15]]
-        metres, skin = folder.load(document()), folder.load(file)
-        assert (metres.source.unit, skin.source.unit) == ("m", "mm")
-        np.testing.assert_allclose(skin.position_m, metres.position_m, atol=1e-12)
-        np.testing.assert_allclose(skin.source.parent, metres.source.parent)
-
-    @pytest.mark.parametrize(
-        ("changes", "left", "missing_cut_duplicates"),
-        [
-            ({4: {"id": -1, "x": None}, 9: {"id": -1}}, 38, (2, 0, 0)),
-            ({4: {"id": 3 << 4}, 5: {"type": "temperature"}}, 38, (2, 0, 0)),
-            ({4: {"cut": 1}, 5: {"cut": 7}}, 38, (0, 2, 0)),
-            ({9: {"id": taxel(4)["id"]}}, 39, (0, 0, 1)),
-            ({4: {"id": taxel(9)["id"], "cut": 1}}, 39, (0, 1, 0)),
-        ],
-        ids=["missing", "temperature", "cut", "duplicate", "cut one of a live one's id"],
-    )
-    def test_an_entry_that_is_no_taxel_is_left_out_and_counted(
-        self, folder, changes, left, missing_cut_duplicates
-    ):
-        file = document()
-        for i, change in changes.items():
-            file["skin"]["taxels"][i].update(change)
-        skin = folder.load(file)
-        source = skin.source
-        assert len(skin) == left
-        assert (source.missing, source.cut, source.duplicates) == missing_cut_duplicates
-        assert set(skin.uid.tolist()) <= {taxel(i)["id"] for i in range(40)}
-
-    def test_of_duplicates_the_first_counts(self, folder):
-        file = document()
-        file["skin"]["taxels"][9]["id"] = taxel(4)["id"]
-        skin = folder.load(file)
-        place = skin.frame[:3, :3].T @ (skin.position_m[4] - skin.frame[:3, 3])
-        np.testing.assert_allclose(place, taxel(4)["x"], atol=1e-12)
-
-    @pytest.mark.parametrize(
-        "change",
-        [
-            lambda file: file.update(tactile_maps=[]),
-            lambda file: file.update(tactile_maps=[{"taxels": [{"id": 1}]}]),
-            lambda file: file.update(tactile_maps={"taxels": []}),
-            lambda file: file["info"].update(file_version=2),
-            lambda file: [t.update(n=[-v for v in t["n"]]) for t in file["skin"]["taxels"]],
-            lambda file: [t.update(n=[0.3 * v for v in t["n"]]) for t in file["skin"]["taxels"]],
-        ],
-        ids=["no maps", "maps", "a map", "version", "inward normals", "short normals"],
-    )
-    def test_what_files_write_in_several_ways_gives_the_same_skin(self, folder, change):
-        file = document()
-        change(file)
-        skin = folder.load(file)
-        assert skin.digest == folder.load(document()).digest
-        assert skin.turned in (0, 40)
-
-    def test_taxels_may_be_grouped_in_lists(self, folder):
-        file = document()
-        taxels = file["skin"]["taxels"]
-        file["skin"]["taxels"] = [taxels[:15], taxels[15:]]
-        assert folder.load(file).digest == folder.load(document()).digest
-        taxels[17]["x"] = 5
-        file["skin"]["taxels"] = [taxels[:15], taxels[15:]]
-        assert folder.fault(file).startswith("skin.taxels[1][2].x: must be 3 numbers, not 5; ")
-
-    @pytest.mark.parametrize(
-        ("where", "value", "words"),
-        [
-            (("id",), None, "skin.taxels[12].id: must be a UID, or -1 for missing, not None"),
-            (("id",), True, "skin.taxels[12].id: "),
-            (("id",), "53777", "skin.taxels[12].id: "),
-            (("id",), -2, "skin.taxels[12].id: "),
-            (("id",), 1 << 36, "skin.taxels[12].id: "),
-            (("id",), 3 << 4 | NAMES, "skin.taxels[12].id: 60 is taxel 12 of its module"),
-            (("cut",), "no", "skin.taxels[12].cut: must be 0"),
-            (("x",), [0.1, 0.2], "skin.taxels[12].x: must be 3 numbers, not [0.1, 0.2]; "),
-            (("x",), [0.1, 0.2, "0"], "skin.taxels[12].x: "),
-            (("x", 1), math.nan, "skin.taxels[12].x: "),
-            (("x", 1), math.inf, "skin.taxels[12].x: "),
-            (("x", 1), 10**400, "skin.taxels[12].x: "),
-            (("x", 1), True, "skin.taxels[12].x: "),
-            (("n",), [0, 0, 0], "skin.taxels[12].n: the normal must not be zero; "),
-            (("n",), [1e-300, 0, 0], "skin.taxels[12].n: the normal must not be zero; "),
-            (("x", 1), 9e5, "taxels span "),
-        ],
-    )
-    def test_a_fault_in_a_taxel_names_its_place_and_the_cure(self, folder, where, value, words):
-        file = document()
-        at = file["skin"]["taxels"][12]
-        for key in where[:-1]:
-            at = at[key]
-        at[where[-1]] = value
-        message = folder.fault(file)
-        assert message.startswith(words)
-        if where[0] in ("x", "n"):
-            assert "; correct " in message
-
-    @pytest.mark.parametrize(
-        ("content", "words"),
-        [
-            ([], "info: must be an object"),
-            ({}, "info: must be an object"),
-            ({"info": {"file_version": 2}}, "skin: must be an object"),
-            ({"info": {"file_version": 1}, "skin": {}}, "info.file_version: must be 2, not 1"),
-            ({"info": {"file_version": 2}, "skin": {}}, "skin.taxels: must be a list"),
-            ({"info": {"file_version": 2}, "skin": {"taxels": []}}, "holds 0 usable taxels"),
-            ({"info": {"file_version": 2}, "skin": {"taxels": [1]}}, "skin.taxels[0]: must be"),
-        ],
-    )
-    def test_other_json_is_refused_by_name(self, folder, content, words):
-        assert folder.fault(content).startswith(words)
-
-    @pytest.mark.parametrize(
-        ("content", "words"),
-        [
-            (b"", "is not JSON"),
-            (b"{", "is not JSON"),
-            (b"[" * 100_000, "is nested too deeply"),
-            (b'{"info": ' + b"1" * 5000 + b"}", "is not JSON"),
-            (b"\x80PNG", "is not UTF-8 text"),
-        ],
-    )
-    def test_a_file_that_is_no_json_is_one_line(self, tmp_path, content, words):
-        file = tmp_path / "skin.json"
-        file.write_bytes(content)
-        with pytest.raises(SetupError, match=words):
-            layouts.load(str(file))
-
-    @pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
-    def test_a_directory_or_a_pipe_is_no_layout(self, tmp_path, make):
-        make(tmp_path / "skin.json")
-        with pytest.raises(SetupError, match="it is no regular file"):
-            layouts.load(str(tmp_path / "skin.json"))
-
-    def test_a_flat_patch_can_be_read_but_not_run(self, tmp_path):
-        file = document()
-        for t in file["skin"]["taxels"]:
-            t.update(x=[t["x"][0], t["x"][1], 0.02], n=[0, 0, -1])
-        path = tmp_path / "patch.json"
-        path.write_text(json.dumps(file), encoding="utf-8")
-        flat = layouts.read(str(path))
-        assert math.isinf(flat.radius_m)
-        assert math.isnan(flat.rms_m)
-        np.testing.assert_allclose(flat.normal, [[0, 0, 1]] * 40)
-        np.testing.assert_allclose(flat.position_m[:, 2], 0.0, atol=1e-12)
-        with pytest.raises(SetupError, match=r"skin\.layout: patch: its 40 taxels lie on no cyl"):
-            layouts.load(str(path))
+def changed(change: Change) -> dict[str, Any]:
+    """A document after a change of its `skin` and of the list of its taxels."""
+    made = document()
+    change(made["skin"], made["skin"]["taxels"])
+    return made
 
 
-RING = layouts.load("cylinder:rows=3,columns=16,radius_m=0.05,pitch_m=0.01")
+def test_taxels_come_in_file_order_in_the_sensor_frame(tmp_path: Path) -> None:
+    skin = read(tmp_path, document())
+    assert (skin.name, skin.uid.tolist()) == ("skin", [taxel(i)["id"] for i in range(40)])
+    assert skin.radius_m == pytest.approx(RADIUS_M)
+    assert skin.rms_m < 1e-9
+    z = np.repeat(range(-2, 3), 8) * 0.008
+    np.testing.assert_allclose(skin.position_m[:, 2], z, atol=1e-12)
+    outwards = skin.position_m * [1 / RADIUS_M, 1 / RADIUS_M, 0]
+    np.testing.assert_allclose(skin.normal, outwards, atol=1e-12)
+    there = np.array([[*taxel(i)["x"], 1.0] for i in range(40)]) @ skin.frame.T
+    np.testing.assert_allclose(there[:, :3], skin.position_m, atol=1e-12)
+    turn = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
+    np.testing.assert_allclose(skin.frame[:3, :3], turn, atol=1e-12)
+    parent = [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]]
+    np.testing.assert_allclose(skin.source.parent, parent, err_msg="it is stored by columns")
 
 
-class TestTable:
-    """A plain table, a row a taxel."""
+@pytest.mark.parametrize("frames", [None, [], [{"key": 0}], {}])
+def test_a_parent_frame_may_be_absent(tmp_path: Path, frames: Any) -> None:
+    made = changed(lambda skin, _: skin.update(parent_frames=frames))
+    assert read(tmp_path, made).source.parent is None
 
-    @pytest.mark.parametrize("uid", [False, True])
-    def test_a_table_has_the_taxels_of_the_layout_that_was_written(self, tmp_path, uid):
-        own = dataclasses.replace(RING, uid=RING.uid + 160 * uid)
-        file = tmp_path / "own.csv"
-        file.write_text(table_of(own, uid=uid), encoding="ascii")
-        found = layouts.load(str(file))
-        assert (found.name, found.radius_m) == ("own", pytest.approx(0.05, abs=1e-5))
-        np.testing.assert_array_equal(found.uid, own.uid)
-        turn, shift = found.frame[:3, :3], found.frame[:3, 3]
-        np.testing.assert_allclose(found.position_m, own.position_m @ turn.T + shift, atol=2e-6)
 
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [
-            (lambda _: "", "line 1: must be uid,x,y,z,nx,ny,nz; uid or the n… may lack"),
-            (lambda text: text.replace("nx", "a"), "line 1: must be uid,x,y,z,nx,ny,nz; uid"),
-            (lambda text: text.partition("\n")[0], "holds 0 usable taxels"),
-            (lambda text: text.replace("0.05", "wide", 1), "line 2: must be 6 numbers, not ['wide"),
-            (lambda text: text.replace(",17\n", "\n", 1), "line 2: '0.000000' is no UID"),
-            (lambda text: text.replace(",17\n", ",18\n", 1), "line 3: '18' is no UID, or one for"),
-            (
-                lambda text: text.replace("0.050000", "nan", 1),
-                "line 2: must be 6 numbers, not [nan",
+def test_millimetres_are_told_by_the_extent(tmp_path: Path) -> None:
+    file = document()
+    for t in file["skin"]["taxels"]:
+        t["x"] = [1e3 * v for v in t["x"]]
+    matrix = file["skin"]["parent_frames"][0]["tf_matrix"]
+    matrix[12:15] = [1e3 * v for v in matrix[12:15]]
+    metres, skin = read(tmp_path, document()), read(tmp_path, file)
+    assert (metres.source.unit, skin.source.unit) == ("m", "mm")
+    np.testing.assert_allclose(skin.position_m, metres.position_m, atol=1e-12)
+    np.testing.assert_allclose(skin.source.parent, metres.source.parent)
+
+
+@pytest.mark.parametrize(
+    ("changes", "counts"),
+    [
+        ({4: {"id": -1, "x": None}, 9: {"id": -1}}, (2, 0, 0)),
+        ({4: {"id": 3 << 4}, 5: {"type": "temperature"}}, (2, 0, 0)),
+        ({4: {"cut": 1}, 5: {"cut": 7}}, (0, 2, 0)),
+        ({9: {"id": taxel(4)["id"]}}, (0, 0, 1)),
+        ({4: {"id": taxel(9)["id"], "cut": 1}}, (0, 1, 0)),
+    ],
+    ids=["missing", "temperature", "cut", "duplicate", "cut one of a live one's id"],
+)
+def test_an_entry_that_is_no_taxel_is_left_out_and_counted(
+    tmp_path: Path, changes: dict[int, dict[str, Any]], counts: tuple[int, int, int]
+) -> None:
+    file = document()
+    for i, change in changes.items():
+        file["skin"]["taxels"][i].update(change)
+    skin, whole = read(tmp_path, file), read(tmp_path, document())
+    source, out = skin.source, changes.keys()
+    assert (source.missing, source.cut, source.duplicates) == counts
+    left = [i for i in range(40) if i not in out]  # of duplicates the first counts
+    assert skin.uid.tolist() == whole.uid[left].tolist()
+    turn, shift = skin.frame[:3, :3], skin.frame[:3, 3]
+    places = np.array([taxel(i)["x"] for i in left])
+    np.testing.assert_allclose(skin.position_m, places @ turn.T + shift, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda skin, taxels: skin.update(taxels=[taxels[:15], taxels[15:]]),
+        lambda _, taxels: [t.update(n=[-v for v in t["n"]]) for t in taxels],
+        lambda _, taxels: [t.update(n=[0.3 * v for v in t["n"]]) for t in taxels],
+    ],
+    ids=["grouped in lists", "inward normals", "short normals"],
+)
+def test_what_files_write_in_several_ways_gives_the_same_skin(
+    tmp_path: Path, change: Change
+) -> None:
+    skin = read(tmp_path, changed(change) | {"tactile_maps": [{"taxels": [{"id": 1}]}]})
+    assert skin.digest == read(tmp_path, document()).digest
+    assert skin.turned in (0, 40)
+
+
+AT = "skin.taxels[12]"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        *(
+            (changed(lambda _, taxels, k=key, v=value: taxels[12].update({k: v})), words)  # type: ignore[misc]
+            for key, value, words in (
+                ("id", None, f"{AT}.id: must be an integer, not None; correct it, or mark"),
+                ("id", True, f"{AT}.id: must be an integer"),
+                ("id", "53777", f"{AT}.id: must be an integer"),
+                ("id", -2, f"{AT}.id: must be -1..6.87195e+10, not -2"),
+                ("id", 1 << 36, f"{AT}.id: must be "),
+                ("id", 3 << 4 | NAMES, f"{AT}.id: 60 is taxel 12 of its module, which has"),
+                ("cut", "no", f"{AT}.cut: must be an integer"),
+                ("x", [0.1, 0.2], f"{AT}.x: must be a list of 3, not [0.1, 0.2]; correct it"),
+                ("x", [0.1, 0.2, "0"], f"{AT}.x[2]: must be a number, not '0'"),
+                ("x", [0.1, math.nan, 0], f"{AT}.x[1]: must be a number, not nan"),
+                ("x", [0.1, 10**400, 0], f"{AT}.x[1]: must be a number, not 1000"),
+                ("x", None, f"{AT}: needs x and n; correct it"),
+                ("x", [0.0, 9e15, 0.0], "taxels span 9e+15, too far"),
+                ("n", [1e-300, 0, 0], "taxel 67: the normal must not be zero; correct it"),
+            )
+        ),
+        (
+            changed(lambda skin, taxels: skin.update(taxels=[taxels[:15], [{"id": "x"}]])),
+            "skin.taxels[1][0].id: must be an integer",
+        ),
+        (changed(lambda skin, _: skin.update(taxels=[1])), "skin.taxels[0]: must be a table"),
+        (changed(lambda skin, _: skin.update(taxels=[])), "holds 0 usable taxels"),
+        (changed(lambda skin, _: skin.update(taxels={})), "skin.taxels: must be a list"),
+        (
+            changed(
+                lambda skin, _: skin["parent_frames"][0].update(
+                    tf_matrix=np.eye(4, k=3).tolist()[0] * 4
+                )
             ),
-            (lambda text: text.replace(",17\n", ",-1\n", 1), "line 2: '-1' is no UID"),
-        ],
-    )
-    def test_a_fault_in_a_table_names_its_line(self, tmp_path, change, words):
-        file = tmp_path / "own.csv"
-        file.write_text(change(table_of(RING, uid=True)), encoding="ascii")
-        with pytest.raises(SetupError) as caught:
-            layouts.read(str(file))
-        assert str(caught.value).startswith(f"skin.layout: {file}: {words}")
+            "skin.parent_frames[0].tf_matrix: must be a rigid transform of 16 numbers, column by",
+        ),
+        ([], "info, skin: must be objects; name a robotskinlib file"),
+        ({"info": {"file_version": 2}}, "info, skin: must be objects"),
+        ({"info": {"file_version": 1}, "skin": {}}, "info.file_version: must be 2, not 1"),
+        (b"", "is not JSON"),
+        (b"[" * 100_000, "is not JSON"),
+        (b'{"info": ' + b"1" * 5000 + b"}", "is not JSON"),
+        (b"\x80PNG", "is not UTF-8 text"),
+    ],
+)
+def test_a_fault_names_its_place_and_the_cure(tmp_path: Path, content: Any, words: str) -> None:
+    assert fault(tmp_path, content).startswith(words)
 
-    def test_a_table_without_normals_has_those_of_its_cylinder(self, tmp_path):
-        file = tmp_path / "own.csv"
-        rows = [",".join(map(repr, map(float, place))) for place in RING.position_m]
-        lines = [f"{100 - i},{row}" for i, row in enumerate(rows)]
-        file.write_text("uid,x,y,z\n" + "\n".join(lines) + "\n", encoding="ascii")
-        found = layouts.load(str(file))
-        assert found.uid.tolist() == [100 - i for i in range(len(RING))]
-        assert found.radius_m == pytest.approx(0.05, abs=1e-4)
-        radial = found.position_m * (1.0, 1.0, 0.0) / 0.05
-        assert np.einsum("ij,ij->i", found.normal, radial).min() > 0.999, "outwards"
 
-    def test_uids_that_no_module_has_are_of_arrays_alone(self):
-        own = dataclasses.replace(RING, uid=np.arange(len(RING)))
-        ArrayDecoder(own.uid.tolist())
-        with pytest.raises(
-            SetupError, match=r"skin\.layout: its UIDs are of no module.*of an array"
-        ):
-            live(SourceConfig(kind="can"), own)
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+def test_a_directory_or_a_pipe_is_no_layout(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    make(tmp_path / "skin.json")
+    with pytest.raises(SetupError, match="it is no regular file"):
+        layouts.load(str(tmp_path / "skin.json"))
+
+
+def test_a_flat_patch_can_be_read_but_not_run(tmp_path: Path) -> None:
+    file = document()
+    for t in file["skin"]["taxels"]:
+        t.update(x=[t["x"][0], t["x"][1], 0.02], n=[0, 0, -1])
+    flat = read(tmp_path, file)
+    assert math.isinf(flat.radius_m)
+    assert math.isnan(flat.rms_m)
+    np.testing.assert_allclose(flat.normal, [[0, 0, 1]] * 40)
+    np.testing.assert_allclose(flat.position_m[:, 2], 0.0, atol=1e-12)
+    with pytest.raises(SetupError, match=r"skin\.layout: skin: its 40 taxels lie on no cylinder"):
+        layouts.load(str(tmp_path / "skin.json"))
+
+
+@pytest.mark.parametrize("uid", [False, True])
+def test_a_table_has_the_taxels_of_the_layout_that_was_written(tmp_path: Path, uid: bool) -> None:
+    own = dataclasses.replace(RING, uid=RING.uid + 160 * uid)
+    found = read(tmp_path, table_of(own, uid=uid), "own.csv")
+    assert (found.name, found.radius_m) == ("own", pytest.approx(0.05, abs=1e-5))
+    np.testing.assert_array_equal(found.uid, own.uid)
+    turn, shift = found.frame[:3, :3], found.frame[:3, 3]
+    np.testing.assert_allclose(found.position_m, own.position_m @ turn.T + shift, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("nx", "a", "line 1: must be uid,x,y,z,nx,ny,nz; uid or the n… may lack"),
+        ("0.050000", "wide", "line 2: must be 7 numbers, not 'wide,"),
+        ("0.050000", "nan", "line 2: must be 7 numbers, not 'nan,"),
+        (",17\n", "\n", "line 2: must be 7 numbers, not "),
+        (",17\n", ",18\n", "line 3: 18 is no UID, or one for the second time"),
+        (",17\n", ",-1\n", "line 2: -1 is no UID"),
+        (",17\n", ",17.5\n", "line 2: 17.5 is no UID"),
+        ("1.000000,0.000000,0.000000,17", "0,0,0,17", "taxel 17: the normal must not be zero"),
+    ],
+)
+def test_a_fault_in_a_table_names_its_line(tmp_path: Path, old: str, new: str, words: str) -> None:
+    text = table_of(RING, uid=True)
+    assert old in text
+    assert fault(tmp_path, text.replace(old, new, 1), "own.csv").startswith(words)
+    assert fault(tmp_path, "", "own.csv").startswith("line 1: must be uid")
+    assert fault(tmp_path, text.partition("\n")[0], "own.csv").startswith("holds 0 usable taxels")
+
+
+def test_a_table_without_normals_has_those_of_its_cylinder(tmp_path: Path) -> None:
+    rows = [",".join(map(repr, map(float, place))) for place in RING.position_m]
+    lines = [f"{100 - i},{row}" for i, row in enumerate(rows)]
+    found = read(tmp_path, "uid,x,y,z\n" + "\n".join(lines) + "\n", "own.csv")
+    assert found.uid.tolist() == [100 - i for i in range(len(RING))]
+    assert found.radius_m == pytest.approx(0.05, abs=1e-4)
+    radial = found.position_m * (1.0, 1.0, 0.0) / 0.05
+    assert np.einsum("ij,ij->i", found.normal, radial).min() > 0.999, "outwards"
+
+
+def test_uids_that_no_module_has_are_of_arrays_alone() -> None:
+    own = dataclasses.replace(RING, uid=np.arange(len(RING)))
+    ArrayDecoder(own.uid.tolist())
+    with pytest.raises(SetupError, match=r"skin\.layout: its UIDs are of no module.*of an array"):
+        live(SourceConfig(kind="can"), own)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real layouts are not beside this checkout")
+@pytest.mark.parametrize(
+    ("name", "taxels", "modules", "radius_mm", "arc_deg", "height_mm"),
+    [
+        ("ur10e_link1_patch1", 642, 60, 72.0, 181.0, 130.0),
+        ("ur10e_link2_patch1", 524, 51, 63.0, 178.0, 147.0),
+        ("hexagon_cyskin_full_isomap", 61, 6, math.inf, 0.0, 0.0),
+        ("hexagon_tpu_1_full_isomap", 59, 6, math.inf, 0.0, 0.0),
+    ],
+)
+def test_real_skins_are_half_cylinders_and_flat_hexagons(
+    name: str, taxels: int, modules: int, radius_mm: float, arc_deg: float, height_mm: float
+) -> None:
+    skin = layouts.read(str(REAL / f"{name}.json"))
+    assert (len(skin), len(np.unique(skin.uid >> 4))) == (taxels, modules)
+    assert skin.radius_m * 1e3 == pytest.approx(radius_mm, abs=2.0)
+    assert np.ptp(skin.position_m[:, 2]) * 1e3 == pytest.approx(height_mm, abs=1.0)
+    assert 6.0 < pitch_m(skin) * 1e3 < 8.0
+    if arc_deg == 0.0:
+        assert skin.source.missing == 61 - taxels
+        return
+    assert skin.rms_m * 1e3 < 2.5
+    assert math.degrees(arc_rad(skin)) == pytest.approx(arc_deg, abs=1.0)
+    assert (skin.source.unit, skin.turned, tilted(skin)) == ("m", 0, 0)
+    assert len(skin.turns) == 1
+    angle = np.arctan2(skin.position_m[:, 1], skin.position_m[:, 0])
+    assert angle.min() == pytest.approx(-angle.max(), abs=0.02)
+    assert skin.frame[2, :3] @ [0.0, 1.0, 0.0] > 0.999_999

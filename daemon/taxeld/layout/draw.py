@@ -29,7 +29,9 @@ def draw(layout: Layout, out: Path) -> None:
     left, right = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
     _unrolled(left, layout, flat, colour)
     for i, serial in enumerate(sui):
-        x, y = middle(layout, module == i)
+        # the middle of a module, found before unrolling cuts it in two
+        middle = layout.position_m[module == i].mean(axis=0, keepdims=True)
+        (x,), (y,) = plane(middle, layout.radius_m)
         left.annotate(str(serial), (x, y), fontsize=5, ha="center", va="center")
     _section(right, layout, flat, colour)
     for axes in (left, right):
@@ -62,14 +64,6 @@ def _section(axes: Axes, layout: Layout, flat: bool, colour: NDArray[np.float64]
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("z [mm]" if flat else "y [mm]")
     axes.set_title("from the side" if flat else "from above, the fitted circle dashed", fontsize=9)
-
-
-def middle(layout: Layout, taxels: NDArray[np.bool_]) -> tuple[float, float]:
-    """Place of a module's serial number on paper [mm]: the middle of its `taxels` (M,), found
-    before unrolling cuts it in two."""
-    middle = layout.position_m[taxels].mean(axis=0, keepdims=True)
-    x, y = plane(middle, layout.radius_m)
-    return float(x[0]), float(y[0])
 
 
 def plane(

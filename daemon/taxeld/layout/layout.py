@@ -35,7 +35,7 @@ class Layout:
     radius_m: float  # inf: the taxels lie on no cylinder
     frame: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     """(4, 4) rigid transform from the layout file's frame [m] to the sensor frame, which
-    `cylinder_fit.fit` defines; a robot that knows the file's frame finds the sensor by it."""
+    `fit.cylinder` defines; a robot that knows the file's frame finds the sensor by it."""
     source: Provenance = field(default_factory=Provenance)
     turned: int = 0  # normals that point inwards in the file
     no_cylinder: str = ""  # why the radius is infinite; empty where it is not

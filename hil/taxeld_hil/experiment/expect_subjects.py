@@ -16,8 +16,8 @@ from taxeld.arrays import Floats
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.layout.files import COLUMNS
 from taxeld.layout.layout import Layout
+from taxeld.layout.read import COLUMNS
 from taxeld.proposals import bundle
 from taxeld.skin.calibration import Calibration
 from taxeld_hil.experiment.measurement import code

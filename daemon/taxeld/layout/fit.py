@@ -1,4 +1,5 @@
-"""The cylinder on which a patch of taxels lies, and the sensor frame that follows from it.
+"""What follows from the taxels' places in a file: normals where it has none, the cylinder on which
+they lie, and the sensor frame.
 
 The estimator models a link as a cylinder about the sensor frame's z axis, but a file gives taxels
 in a frame of its own.
@@ -8,9 +9,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Bools, Floats
 
 PARALLEL = 0.003  # least mean square spread of the normals: less is an arc under about 11°
 AXIAL_MAX = 0.5  # share of the normals' spread along the axis; more is a dome
@@ -20,6 +20,10 @@ RADIUS_MIN_M = 0.001
 RADIUS_MAX_SPANS = 10.0  # patch widths: with a larger radius the arc is too short to tell it
 ITERATIONS = 20
 
+NEAR = 9  # taxels that make a tangent plane, of a table whose rows may be few
+FLAT = 0.01  # share of a patch's width: a patch that is no deeper is a plane
+SAME_M = 1e-6  # distances are compared to a micrometre: the same neighbours on any machine
+
 
 @dataclass(frozen=True, slots=True)
 class CylinderFit:
@@ -27,11 +31,11 @@ class CylinderFit:
 
     frame: Floats  # (4, 4) rigid transform from the file's frame to the sensor frame
     radius_m: float  # inf: the taxels lie on no cylinder
-    inwards: NDArray[np.bool_]  # (M,) whether the normal points to the axis
+    inwards: Bools  # (M,) whether the normal points to the axis
     why_none: str = ""  # why there is no cylinder, in words
 
 
-def fit(position_m: Floats, normal: Floats) -> CylinderFit:
+def cylinder(position_m: Floats, normal: Floats) -> CylinderFit:
     """Fit a cylinder to taxels (M, 3) with unit normals (M, 3), both in the file's frame.
 
     The axis is the direction of which the normals have least; the circle across it has the least
@@ -44,14 +48,13 @@ def fit(position_m: Floats, normal: Floats) -> CylinderFit:
     is infinite, the origin the taxels' mean, and z their mean normal.
     """
     spread, directions = np.linalg.eigh(normal.T @ normal / len(normal))
-    axis = directions[:, 0]
-    axis = axis * np.sign(axis[np.abs(axis).argmax()])
     if spread[1] < PARALLEL:
         return _flat(position_m, normal, "they lie flat")
     if spread[0] > AXIAL_MAX * spread[1]:
         share = f"{spread[0] / spread[1]:.0%} as much along an axis as round it"
         return _flat(position_m, normal, f"they lie as on a dome, bent {share}")
-    x, y = _across(axis, np.roll(np.eye(3)[np.abs(axis).argmax()], 1))
+    axis = _positive(directions[:, 0])
+    x, y = _across(axis)
     points = position_m @ np.column_stack([x, y])
     centre, radius_m = _circle(points)
     width = float(np.ptp(points, axis=0).max())
@@ -65,9 +68,8 @@ def fit(position_m: Floats, normal: Floats) -> CylinderFit:
     middle = 0.5 * (heights.min() + heights.max())
     origin = centre[0] * x + centre[1] * y + middle * axis
     mean = np.where(inwards[:, None], -normal, normal).mean(axis=0)
-    if np.linalg.norm(mean - (mean @ axis) * axis) > ROUND:
-        x, y = _across(axis, mean)
-    return CylinderFit(_frame(x, y, axis, origin), radius_m, inwards)
+    has_mean = np.linalg.norm(mean - (mean @ axis) * axis) > ROUND
+    return CylinderFit(_frame(axis, origin, mean if has_mean else None), radius_m, inwards)
 
 
 def _flat(position_m: Floats, normal: Floats, why: str) -> CylinderFit:
@@ -75,23 +77,29 @@ def _flat(position_m: Floats, normal: Floats, why: str) -> CylinderFit:
     mean = normal.mean(axis=0)
     length = float(np.linalg.norm(mean))
     axis = mean / length if length > ROUND else np.eye(3)[2]
-    x, y = _across(axis, np.roll(np.eye(3)[np.abs(axis).argmax()], 1))
-    frame = _frame(x, y, axis, position_m.mean(axis=0))
+    frame = _frame(axis, position_m.mean(axis=0))
     return CylinderFit(frame, math.inf, np.zeros(len(normal), dtype=np.bool_), why)
 
 
-def _across(axis: Floats, towards: Floats) -> tuple[Floats, Floats]:
+def _positive(direction: Floats) -> Floats:
+    """The direction (3,), or its opposite, whose largest component is positive."""
+    return np.asarray(direction * np.sign(direction[np.abs(direction).argmax()]))
+
+
+def _across(axis: Floats, towards: Floats | None = None) -> tuple[Floats, Floats]:
     """Unit x and y of a right-handed frame with z = `axis` (3,), x as near as can be to `towards`
-    (3,)."""
+    (3,), else to the axis of the file after the one nearest to z."""
+    if towards is None:
+        towards = np.roll(np.eye(3)[np.abs(axis).argmax()], 1)
     x = towards - (towards @ axis) * axis
     x = x / np.linalg.norm(x)
     return x, np.cross(axis, x)
 
 
-def _frame(x: Floats, y: Floats, z: Floats, origin: Floats) -> Floats:
-    """The transform (4, 4) to the frame with axes x, y, z (3,) and an origin (3,)."""
+def _frame(axis: Floats, origin: Floats, towards: Floats | None = None) -> Floats:
+    """The transform (4, 4) to the frame of `_across` with an origin (3,)."""
     frame = np.eye(4)
-    frame[:3, :3] = x, y, z
+    frame[:3, :3] = *_across(axis, towards), axis
     frame[:3, 3] = -frame[:3, :3] @ origin
     return frame
 
@@ -114,3 +122,25 @@ def _circle(points: Floats) -> tuple[Floats, float]:
         step = np.linalg.lstsq(jacobian, distance - radius)[0]
         centre, radius = centre + step[:2], radius + float(step[2])
     return centre + middle, radius
+
+
+def normals(position_m: Floats, near: int = NEAR) -> Floats:
+    """Unit normals (M, 3) of the surface through taxels (M, 3), pointing away from their middle;
+    `near`: taxels that make a tangent plane. On a plane all are the same, as `_positive`."""
+    widths, axes = _axes(position_m)
+    if widths[2] <= FLAT * widths[0]:
+        return np.tile(_positive(axes[2]), (len(position_m), 1))
+    outwards = position_m - position_m.mean(axis=0)
+    found = np.empty_like(position_m)
+    for i, place in enumerate(position_m):
+        distance = np.round(np.linalg.norm(position_m - place, axis=1) / SAME_M)
+        normal = _axes(position_m[np.argsort(distance, kind="stable")[:near]])[1][2]
+        found[i] = normal if normal @ outwards[i] >= 0.0 else -normal
+    return found
+
+
+def _axes(points: Floats) -> tuple[Floats, Floats]:
+    """Root mean squares (3,) of points (n, 3) along their three principal axes, and these axes as
+    rows (3, 3), the widest first."""
+    square, axes = np.linalg.eigh(np.cov(points.T, ddof=0))
+    return np.sqrt(np.maximum(square[::-1], 0.0)), axes.T[::-1]
