@@ -48,22 +48,17 @@ def works(skin: str) -> Callable[[], str]:
     """An object a line, on one skin, after few and many touches."""
 
     def made() -> str:
-        own = [row for row in rows_of("works") if row["skin"] == skin]
-        of = {(row["object"], row["touches"]): row for row in own}
-        lines = []
-        for name in dict.fromkeys(row["object"] for row in own):
-            after = [of[name, touches] for touches in AFTER]
-            each = [of[name, touches] for touches in range(1, max(AFTER) + 1)]
-            sure, misleading = (sum(row[key] for row in each) for key in ("sure", "misleading"))
-            lines.append(
-                [
-                    word(name),
-                    *(f"{row['median_mm']:.1f} ({row['q90_mm']:.0f})" for row in after),
-                    *(share(row["found"], row["trials"]) for row in after),
-                    *(share(row["found_and_sure"], row["trials"]) for row in after),
-                    f"{misleading} of {sure}",
-                ]
-            )
+        lines = [
+            [
+                word(row["object"]),
+                *(f"{row['median_mm'][n - 1]:.1f} ({row['q90_mm'][n - 1]:.0f})" for n in AFTER),
+                *(share(row["found"][n - 1], row["trials"]) for n in AFTER),
+                *(share(row["found_and_sure"][n - 1], row["trials"]) for n in AFTER),
+                f"{row['misleading']} of {row['sure']}",
+            ]
+            for row in rows_of("works")
+            if row["skin"] == skin
+        ]
         heads = ["object", *(f"mm after {n}" for n in AFTER), *(f"found, {n}" for n in AFTER)]
         return table([*heads, *(f"found and sure, {n}" for n in AFTER), "misleading"], lines)
 
@@ -86,7 +81,9 @@ def advice() -> str:
     for name, cell in dict.fromkeys((row["object"], row["cell"]) for row in rows):
         own = [of.get((name, cell, guide)) for guide in guides]
         shares = [
-            " ".join(f"{100 * row['found_and_sure'][n - 1]:.0f}" for n in (4, 6, 8)) if row else ""
+            " ".join(f"{100 * row['found_and_sure'][n - 1] / row['trials']:.0f}" for n in (4, 6, 8))
+            if row
+            else ""
             for row in own
         ]
         trials = "/".join(str(row["trials"]) for row in own if row)

@@ -9,6 +9,7 @@ in mm.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,5 +58,23 @@ class Claims:
         return is_sure(self.p)
 
     @property
+    def found_and_sure(self) -> Bools:
+        return self.found & self.sure
+
+    @property
     def misleading(self) -> Bools:
         return is_misleading(self.p, self.error_mm, self.radius_mm)
+
+    def by_touch(self) -> dict[str, Any]:
+        """Of trials (N, T): quantiles of the error after each touch, and how many are then found,
+        and found and sure; and how many estimates of all are sure, and mislead."""
+        median, most = np.quantile(self.error_mm, (0.5, 0.9), axis=0).round(2).tolist()
+        return {
+            "trials": len(self.p),
+            "median_mm": median,
+            "q90_mm": most,
+            "found": self.found.sum(axis=0).tolist(),
+            "found_and_sure": self.found_and_sure.sum(axis=0).tolist(),
+            "sure": int(self.sure.sum()),
+            "misleading": int(self.misleading.sum()),
+        }

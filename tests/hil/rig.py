@@ -18,7 +18,7 @@ from taxeld_hil.calibration.presses import Presses
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import calibration_touches
+from taxeld_hil.world import robot
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
@@ -32,6 +32,7 @@ MODULES = wired(SKIN.uid.tolist())
 TRUTH = np.array([0.05, -0.1, 0.7])  # pose of a touched object
 PLACED = np.array([0.05, -0.04, 0.6])  # pose of the object that calibrates
 PERIOD_S, BASE = 0.05, 10_000
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # turns between stretches of skin: even at any count
 
 
 def passing(subject: Scenario, place: Path | None = None, luck: tuple[str, ...] = ()) -> FakeRun:
@@ -68,8 +69,15 @@ class PressedSkin:
     @classmethod
     def drawn(cls, model: ObservationModel, seed: int, presses: int = 20) -> "PressedSkin":
         rng, taxels = np.random.default_rng(seed), len(model.layout)
-        plan = calibration_touches.plan(model, PLACED, seed, presses, idle_s=1.0)
-        held = [plan.path.at(float(np.mean(touch.held_s))) for touch in plan.touches]
+        circle, held = robot.Circle(model, PLACED), []
+        for k in range(presses):  # round the object, with every side of the skin in turn
+            angle = 2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / presses
+            side = 2.0 * np.pi * GOLDEN * k
+
+            def firm() -> tuple[float, float]:
+                return rng.uniform(0.0034, 0.0048), 0.35 * rng.uniform(-1.0, 1.0) * model.scene.size
+
+            held.append(circle.press(angle, angle + np.pi - side, firm)[2])
         return cls(
             model,
             np.array(held),

@@ -15,7 +15,7 @@ from taxeld_hil.experiment.expect import AS_IS, BY_TABLE, CALIBRATED, Touched
 from taxeld_hil.experiment.expect_subjects import Asked, known_responses, subjects
 from taxeld_hil.experiment.measurement import RunRow
 from taxeld_hil.rig.rig import IDLE_S, Rig
-from taxeld_hil.world import touches
+from taxeld_hil.world import robot
 from tests.hil.rig import DEMO, MODEL, TRUTH
 from tests.rig.commands import refused
 from tests.rig.skins import table_of
@@ -25,16 +25,14 @@ pytestmark = pytest.mark.check
 PATCH = "cylinder:rows=2,columns=40,radius_m=0.07,pitch_m=0.015"
 
 
-def trial(seed: int, name: str, *after: tuple[float, bool, bool]) -> RunRow:
-    """A trial with these errors [mm], whether it is found and sure, and whether it misleads."""
-    noted = [
-        {"error_mm": mm, "found_and_sure": sure, "misleading": wrong} for mm, sure, wrong in after
-    ]
+def trial(seed: int, name: str, *after: tuple[float, float]) -> RunRow:
+    """A trial with these errors [mm] and probabilities."""
+    noted = [{"error_mm": mm, "p": p, "radius_mm": 5.0} for mm, p in after]
     return {"name": name, "seed": seed, "after": noted}
 
 
-GOOD = trial(0, AS_IS, (31.0, False, False), (1.0, True, False))
-BAD = trial(1, AS_IS, (63.0, False, True), (15.0, False, False))
+GOOD = trial(0, AS_IS, (31.0, 0.5), (1.0, 1.0))
+BAD = trial(1, AS_IS, (63.0, 1.0), (15.0, 0.5))
 
 
 def test_the_table_has_the_errors_and_shares_of_all_trials_after_each_touch() -> None:
@@ -46,7 +44,7 @@ def test_the_table_has_the_errors_and_shares_of_all_trials_after_each_touch() ->
 
 def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance() -> None:
     def one(seed: int, name: str, sure_from: int) -> RunRow:
-        after = [(5.0 if k >= sure_from else 20.0, k >= sure_from, False) for k in range(6)]
+        after = [(5.0, 1.0) if k >= sure_from else (20.0, 0.0) for k in range(6)]
         return trial(seed, name, *after)
 
     def many(name: str, seeds: int, *sure_from: int) -> list[RunRow]:
@@ -76,16 +74,16 @@ def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance
 
 
 def test_a_robot_errs_alike_throughout_a_touch_and_otherwise_in_the_next() -> None:
-    plan = touches.plan(MODEL, TRUTH, 0, 40)
-    path = plan.path.erring(0.002, seed=1)
+    plan = robot.plan(replace(DEMO, contacts=40), MODEL, TRUTH, 0)
+    path = plan.erring(0.002, seed=1)
     off = [
-        [path.stated(t)[:2] - path.at(t)[:2] for t in (touch.begin_s, *touch.held_s, touch.end_s)]
-        for touch in plan.touches
+        [path.stated(t)[:2] - path.at(t)[:2] for t in np.linspace(*touched, 4)]
+        for touched in plan.touched
     ]
     np.testing.assert_allclose(np.ptp(off, axis=1), 0.0, atol=1e-12)
     assert 0.0015 < np.std(np.array(off)[:, 0]) < 0.0025
     assert (path.stated(1.0) != path.erring(0.002, seed=2).stated(1.0)).any()
-    np.testing.assert_array_equal(plan.path.stated(1.0), plan.path.at(1.0))
+    np.testing.assert_array_equal(plan.stated(1.0), plan.at(1.0))
 
 
 def test_the_daemon_hears_the_poses_of_a_robot_that_errs() -> None:
@@ -107,9 +105,9 @@ def test_a_skin_that_leaves_half_of_its_link_bare_is_turned_to_the_object(tmp_pa
     assert own.bundle == "box", "on another layout it is cut anew, and none is written for it"
     assert BY_TABLE not in {job.arguments[0] for job in expect.jobs({AS_IS: own}, 1, 1)}
     rig = Rig(own, 0)
-    plan = touches.plan(rig.model, rig.world.truth, 0, 8)
-    for touch in plan.touches:
-        at = plan.path.at(float(np.mean(touch.held_s)))
+    assert len(rig.path.touched) == 8
+    for touched in rig.path.touched:
+        at = rig.path.at(float(np.mean(touched)))
         seen = se2.compose(se2.inverse(at), rig.world.truth)
         assert rig.model.activation(seen[None]).max() > 0.0
 

@@ -1,11 +1,12 @@
 """`taxeld-hil expect`: how well an object will be found with a skin, touch by touch.
 
-Touches go around the object once. What is noted of each comes shortly after its end: whether the
+Touches go around the object. What is noted of each comes shortly after its end: whether the
 object is *found*, and the estimate *sure* or *misleading*, as in `integrity`.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,16 +14,17 @@ import numpy as np
 from taxeld.proposals.analytic import Table
 from taxeld_hil.experiment.expect_subjects import known_responses
 from taxeld_hil.experiment.measurement import RunRow, digest
-from taxeld_hil.integrity import is_found, is_misleading, is_sure
+from taxeld_hil.integrity import Claims
 from taxeld_hil.jobs import Job
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import touches as paths
 from taxeld_hil.world.bundled import on_layout
 
 RATE_HZ = 40.0
+HOLD_S = 0.7  # how long a press is held
 SEEN_S = 0.4  # after the end of a touch, by when the daemon has learned from it
+KEYS = "p", "radius_mm", "error_mm"  # of what is noted of a touch
 AS_IS, BY_TABLE, CALIBRATED = "as it is", "as it is, by table", "calibration"
 TABLE = 'proposal = "table"'
 HALF = 0.5  # share of trials that are sure, at which what would help is compared
@@ -73,10 +75,9 @@ def jobs(subjects: dict[str, Scenario], seeds: int, touches: int) -> list[Job]:
 def play(name: str, subject: Scenario, seed: int, touches: int, keys: str) -> RunRow:
     """One trial, as JSON has it; `keys`: of the daemon's table [filter]."""
     calibration = known_responses(subject, seed) if name == CALIBRATED else None
+    subject = replace(subject, contacts=touches, hold_s=HOLD_S)
     run = FakeRun(subject, seed, RATE_HZ, keys, calibration)
-    plan = paths.plan(run.rig.model, run.rig.world.truth, seed, touches)
-    run.rig.path = plan.path.erring(subject.robot_m, seed)
-    notes = [IDLE_S + touch.end_s + SEEN_S for touch in plan.touches]
+    notes = IDLE_S + run.rig.path.touched[:, 1] + SEEN_S
     after: list[dict[str, Any]] = []
     for k in range(math.ceil(notes[-1] * RATE_HZ) + 1):
         run.step(k / RATE_HZ)
@@ -88,35 +89,34 @@ def play(name: str, subject: Scenario, seed: int, touches: int, keys: str) -> Ru
 def _noted(run: FakeRun) -> dict[str, Any]:
     last = run.judge.last
     assert last is not None  # noqa: S101  (there is an estimate after each tick)
-    error_mm, radius_mm = run.judge.error_mm(last.map), 1e3 * last.radius_m
     return {
-        "error_mm": round(error_mm, 3),
-        "p": round(last.p, 4),
-        "found_and_sure": bool(is_found(error_mm) & is_sure(last.claimed)),
-        "misleading": bool(is_misleading(last.claimed, error_mm, radius_mm)),
+        "error_mm": round(run.judge.error_mm(last.map), 3),
+        "p": round(last.claimed, 4),
+        "radius_mm": round(1e3 * last.radius_m, 3),
     }
+
+
+def claims(runs: Sequence[RunRow]) -> Claims:
+    """The estimates of N trials after T touches each (N, T)."""
+    noted = [[[each[key] for key in KEYS] for each in run["after"]] for run in runs]
+    return Claims(*np.moveaxis(np.array(noted), -1, 0))
 
 
 def described(run: RunRow) -> str:
     """A trial's errors in short."""
     errors = ", ".join(f"{noted['error_mm']:.1f}" for noted in run["after"])
-    return f"{errors} mm{', found and sure' * run['after'][-1]['found_and_sure']}"
+    return f"{errors} mm{', found and sure' * bool(claims([run]).found_and_sure[0, -1])}"
 
 
 def table(runs: Sequence[RunRow]) -> list[Touched]:
     """A row for each number of touches."""
-    rows = []
-    for k in range(len(runs[0]["after"])):
-        noted = [run["after"][k] for run in runs]
-        error = np.array([each["error_mm"] for each in noted])
-        median, p90 = np.quantile(error, (0.5, 0.9)).tolist()
-        sure, misleading = (
-            float(np.mean([each[key] for each in noted]))
-            for key in ("found_and_sure", "misleading")
-        )
-        found = float(np.mean(is_found(error)))
-        rows.append(Touched(k + 1, len(runs), median, p90, found, sure, misleading))
-    return rows
+    of = claims(runs)
+    median, p90 = np.quantile(of.error_mm, (0.5, 0.9), axis=0).tolist()
+    shares = (rule.mean(axis=0).tolist() for rule in (of.found, of.found_and_sure, of.misleading))
+    return [
+        Touched(k, len(runs), *row)
+        for k, row in enumerate(zip(median, p90, *shares, strict=True), 1)
+    ]
 
 
 def helps(runs: Sequence[RunRow]) -> list[Help]:
@@ -140,11 +140,11 @@ def helps(runs: Sequence[RunRow]) -> list[Help]:
 
 
 def _help(name: str, after: int, pairs: Sequence[tuple[RunRow, RunRow]]) -> Help:
-    noted = [[run["after"][after - 1] for run in pair] for pair in pairs]
-    sure = np.array(
-        [[each["found_and_sure"] for each in pair] for pair in noted], dtype=float
+    each = [claims([pair[k] for pair in pairs]) for k in (0, 1)]
+    found, sure = (
+        np.column_stack([getattr(of, rule)[:, after - 1] for of in each]).astype(float)
+        for rule in ("found", "found_and_sure")
     )  # (n, 2)
-    found = np.array([[is_found(each["error_mm"]) for each in pair] for pair in noted])
     gain = sure[:, 1] - sure[:, 0]
     least = CHANCE * math.sqrt((gain.var() + 1.0 / len(gain)) / len(gain))
     verdict = "no difference seen"

@@ -96,18 +96,30 @@ def subjects(asked: Asked, place: Path) -> dict[str, Scenario]:
 def known_responses(scenario: Scenario, seed: int) -> Calibration:
     """The calibration of the very skin that this seed draws, as exact as one can be."""
     rig = Rig(scenario, seed)
-    physics, taxels = rig.world.physics, len(rig.model.layout)
+    physics, zeros = rig.world.physics, np.zeros(len(rig.model.layout))
     noise_sigma, gain_cv = LEFT.get(scenario.physics, LEFT_OF_SCENE)
     own: Floats = physics.full_scale  # type: ignore[attr-defined]  # both kinds have it
     soft = isinstance(physics, MeshPhysics)
-    return replace(
-        _uniform(scenario, taxels),
+    return Calibration(
+        t=0.0,
+        digest="",
+        object=scenario.bundle,
+        presses=0,
         full_scale_depth_m=rig.model.depth_max_m,
+        full_scale_counts=scenario.full_scale_counts,
+        full_scale_sd=0.0,
+        bend=scenario.skin.bend if soft else 0.0,
+        bend_sd=0.0,
+        mount=np.zeros(3),
+        mount_sd=np.zeros(3),
         noise_sigma=noise_sigma,
         gain_cv=gain_cv,
         gain=own / scenario.full_scale_counts,
-        onset=physics.response.steeper if isinstance(physics, MeshPhysics) else np.zeros(taxels),
-        bend=scenario.skin.bend if soft else 0.0,
+        gain_sd=zeros,
+        onset=physics.response.steeper if isinstance(physics, MeshPhysics) else zeros,
+        onset_sd=zeros,
+        noise_counts=scenario.skin.noise_counts[0] + zeros,
+        frozen=zeros > 0.0,
     )
 
 
@@ -176,29 +188,3 @@ def _doubled(layout: Layout, place: Path) -> str:
     path = place / f"{stem}-2-{hashlib.sha256(text.encode()).hexdigest()[:12]}.csv"
     path.write_text(text, encoding="ascii")
     return str(path)
-
-
-def _uniform(scenario: Scenario, taxels: int) -> Calibration:
-    """A calibration in which all taxels are alike."""
-    ones, zeros = np.ones(taxels), np.zeros(taxels)
-    return Calibration(
-        t=0.0,
-        digest="",
-        object=scenario.bundle,
-        presses=0,
-        full_scale_depth_m=0.005,
-        full_scale_counts=scenario.full_scale_counts,
-        full_scale_sd=0.0,
-        bend=0.0,
-        bend_sd=0.0,
-        mount=np.zeros(3),
-        mount_sd=np.zeros(3),
-        noise_sigma=0.04,
-        gain_cv=0.17,
-        gain=ones,
-        gain_sd=zeros,
-        onset=zeros,
-        onset_sd=zeros,
-        noise_counts=scenario.skin.noise_counts[0] * ones,
-        frozen=zeros > 0.0,
-    )

@@ -192,21 +192,20 @@ class Circle:
         angle: float,
         yaw: float,
         draw: Callable[[], tuple[float, float]],
-        slow_from_m: float = SLOW_FROM_M,
     ) -> Poses:
         """(3, 3) poses of a straight approach from an angle: where it begins, where it slows, where
         it presses. `draw` has a depth and how far it passes the centre by [m], and is asked again
         where a taxel would hardly be pressed."""
         for _ in range(TRIES):
             depth_m, offset_m = draw()
-            line = self._approach(angle, offset_m, depth_m, slow_from_m)
+            line = self._approach(angle, offset_m, depth_m)
             poses = np.column_stack([line, np.full(3, yaw)])
             seen = se2.compose(se2.inverse(poses[2]), self._truth)
             if self._model.activation(seen[None]).max() > TOUCH:
                 break
         return poses
 
-    def _approach(self, angle: float, offset: float, depth: float, slow_from_m: float) -> Floats:
+    def _approach(self, angle: float, offset: float, depth: float) -> Floats:
         """(3, 2) points of an approach. An offset at which the sensor would miss the object is
         reduced."""
         model = self._model
@@ -220,6 +219,6 @@ class Circle:
         gap = contacts.clearance(model.scene, model.layout.radius_m, seen)
         deep = np.flatnonzero(gap < -depth)
         if not len(deep):
-            return self._approach(angle, 0.7 * offset, depth, slow_from_m)
-        slow = np.flatnonzero(gap < slow_from_m)[0]
+            return self._approach(angle, 0.7 * offset, depth)
+        slow = np.flatnonzero(gap < SLOW_FROM_M)[0]
         return np.asarray(points[[0, slow, deep[0]]])

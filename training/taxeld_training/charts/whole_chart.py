@@ -55,7 +55,7 @@ def _scene(row: Row) -> tuple[str, str]:
 
 
 def _share(row: Row) -> float:
-    return float(row["found_and_sure"][AFTER - 1])
+    return float(row["found_and_sure"][AFTER - 1] / row["trials"])
 
 
 def _panel(axes: Axes, rows: Sequence[Row], style: dict[str, Style]) -> None:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld_training.filters import cells, score
+from taxeld_training.filters import cells
 from taxeld_training.filters.cells import COLUMNS, Cell, setting_of
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.guides import ADVICE, ANY, GUIDES, RANDOM
-from taxeld_training.filters.methods import TABLED, TouchResult
+from taxeld_training.filters.methods import TABLED, TouchResult, claims
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.objects.setting import OBJECTS
@@ -70,7 +70,7 @@ def _row(cell: Cell, name: str, trials: Iterable[list[TouchResult]]) -> dict[str
     """Shares after each touch, and what an advice costs."""
     trials = list(trials)
     row: dict[str, Any] = {"object": cell.setting.object, "cell": name, "guide": cell.guide}
-    row |= score.by_touch(trials)
+    row |= claims(trials).by_touch()
     spent_ms = [touch.guide_ms for trial in trials for touch in trial if touch.guide_ms]
     if spent_ms:
         row["advice_ms"] = round(float(np.median(spent_ms)), 2)

@@ -75,12 +75,11 @@ class Identities(Claims):
 def after(given: Identities, contact: int) -> dict[str, Any]:
     """Figures of runs with known objects after a contact, counted from 1."""
     at = contact - 1
-    found, sure = given.found[:, at], given.sure[:, at]
     of_true = given.of_true[:, at]
     return {
         **share("right", given.right[:, at]),
-        **share("found", found),
-        **share("found_and_sure", found & sure),
+        **share("found", given.found[:, at]),
+        **share("found_and_sure", given.found_and_sure[:, at]),
         **share("misleading", given.misleading[:, at]),
         "p_true": round(float(of_true.mean()), 4),
         "p_true_median": round(float(np.median(of_true)), 4),

@@ -16,9 +16,9 @@ from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Table
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
-from taxeld_training.filters import cells, follow, score
+from taxeld_training.filters import cells, follow
 from taxeld_training.filters.cells import TOUCHES
-from taxeld_training.filters.methods import TABLED, TouchResult
+from taxeld_training.filters.methods import TABLED, TouchResult, claims
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.filters.trials import Trial, TrialScan
 from taxeld_training.jobs import blocks
@@ -65,7 +65,7 @@ def link_rows(options: Options) -> list[Path]:
     wanted = {Linked(name, (one, two), skin, links): count for skin in SKINS for links in TURNS}
     rows = [
         {"object": name, "skin": of.skin, "links": of.links}
-        | score.by_touch([[cells.read(*touch) for touch in run] for run in trials.values()])
+        | claims([cells.read(*touch) for touch in run] for run in trials.values()).by_touch()
         for of, trials in blocks.trials(wanted, play, options, BLOCK).items()
     ]
     return [write(options, "links", rows)]

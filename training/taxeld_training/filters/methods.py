@@ -5,14 +5,17 @@ all: a trial's own noise is a condition of its world, and no filter knows it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
+
+import numpy as np
 
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Hypotheses, Status
 from taxeld.estimator.rule import noise_of
 from taxeld_hil import integrity
+from taxeld_hil.integrity import Claims
 
 NOISE = noise_of(FilterConfig())  # the grid filter's noise as well
 
@@ -102,3 +105,9 @@ class TouchResult(NamedTuple):
     @property
     def misleading(self) -> bool:
         return bool(integrity.is_misleading(self.p, self.map_mm, self.radius_mm))
+
+
+def claims(trials: Iterable[Sequence[TouchResult]]) -> Claims:
+    """The estimates of N trials after T touches each (N, T)."""
+    each = [[(one.p, one.radius_mm, one.map_mm) for one in trial] for trial in trials]
+    return Claims(*np.moveaxis(np.array(each), -1, 0))

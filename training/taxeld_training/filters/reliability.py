@@ -18,7 +18,7 @@ from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.levels import LEVELS, UNMET, Level
-from taxeld_training.filters.methods import SHIPPED, TABLED, Method, TouchResult
+from taxeld_training.filters.methods import SHIPPED, TABLED, Method, TouchResult, claims
 from taxeld_training.filters.stability import OBJECTS, cell_of
 from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
@@ -102,14 +102,13 @@ def wanted(table: Sequence[Level], options: Options, seeds: int) -> dict[tuple[L
 
 def promised(found: Iterable[Results]) -> Promises:
     """All estimates of the runs of cells."""
-    each = [
-        (result.p, result.radius_mm, result.map_mm, contact)
-        for results in found
-        for run in results.values()
-        for contact, result in enumerate(run, 1)
-    ]
-    p, radius_mm, error_mm, contact = np.array(each).reshape(-1, 4).T
-    return Promises(p, radius_mm, error_mm, contact.astype(np.intp))
+    runs = [run for results in found for run in results.values()]
+    if not runs:
+        none = np.empty(0)
+        return Promises(none, none, none, none.astype(np.intp))
+    of = claims(runs)
+    contact = np.tile(np.arange(of.p.shape[1]) + 1, len(runs))
+    return Promises(of.p.ravel(), of.radius_mm.ravel(), of.error_mm.ravel(), contact)
 
 
 def method_of(setting: Setting) -> Method:

@@ -15,10 +15,10 @@ import numpy as np
 
 from taxeld.proposals.analytic import Table
 from taxeld_hil.objects import meshes
-from taxeld_training.filters import cells, enough, levels, score, stability
+from taxeld_training.filters import cells, enough, levels, stability
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.levels import LEVELS, Level
-from taxeld_training.filters.methods import Method, TouchResult
+from taxeld_training.filters.methods import Method, TouchResult, claims
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import ALL
 from taxeld_training.objects.setting import OBJECTS
@@ -145,7 +145,7 @@ def _rows(
     ranked = sorted(rows, key=lambda cell: rows[cell]["ms"])
     most = -math.inf
     for cell in ranked:
-        share = rows[cell]["found_and_sure"][AFTER - 1]
+        share = rows[cell]["found_and_sure"][AFTER - 1] / rows[cell]["trials"]
         rows[cell]["on_front"], most = share > most, max(share, most)
     usual = [k for k, cell in enumerate(ranked) if rows[cell]["ships"]]
     seeds = set.intersection(*(set(found[cell]) for cell in ranked)) if usual else set()
@@ -178,5 +178,5 @@ def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
         "ms": round(float(np.median(spent_ms)), 3),
         "ms_mean": round(float(np.mean(spent_ms)), 3),
         "idle_ms": round(quiet_ms(touches), 3),
-        **score.by_touch(trials),
+        **claims(trials).by_touch(),
     }
