@@ -19,6 +19,8 @@ def one_pressed(taxels: int) -> np.ndarray:
 
 def test_a_press_leaks_into_its_module_and_beside_it(skin: Layout) -> None:
     leak = Leak(skin).of(one_pressed(len(skin)))
+    many = np.stack([one_pressed(len(skin)), np.zeros(len(skin))])
+    assert np.allclose(Leak(skin).of(many), [leak, 0.0 * leak])
     apart = np.linalg.norm(skin.position_m - skin.position_m[0], axis=1)
     module = skin.uid >> 4
     far_away = (module != module[0]) & (apart > 0.03)
@@ -26,13 +28,10 @@ def test_a_press_leaks_into_its_module_and_beside_it(skin: Layout) -> None:
     assert leak[0] == 0.0
     assert np.allclose(leak[coupled], CROSS_TALK * 0.8)
     assert (leak[far_away] == 0.0).all()
-    height = abs(skin.position_m[:, 2] - skin.position_m[0, 2])
-    above = (apart > 0.0) & np.isclose(apart, height)
+    above = (apart > 0.0) & np.isclose(apart, abs(skin.position_m[:, 2] - skin.position_m[0, 2]))
     sag = np.exp(-apart[above] / REACH_M) * 0.8
-    assert np.allclose(
-        leak[above],
-        np.where(sag < 0.008, 0.0, sag) + CROSS_TALK * 0.8 * (module == module[0])[above],
-    )
+    talk = CROSS_TALK * 0.8 * (module == module[0])[above]
+    assert np.allclose(leak[above], np.where(sag < 0.008, 0.0, sag) + talk)
     assert (leak[above & (apart < 0.016)] > 0.05).all()
 
 
@@ -50,27 +49,6 @@ def test_a_reading_that_may_be_leaked_is_none_and_raises_what_is_felt(
     assert seen.z[beside] == 0.0
     assert seen.z[0] == 0.8
     assert np.broadcast_to(seen.floor, taxels)[beside] >= box_model.leak.of(z)[beside] > 0.03
-
-
-def test_training_takes_readings_for_what_the_estimator_takes_them(
-    box_model: ObservationModel,
-) -> None:
-    """Many at once, as one by one: the samplers learn what the filter asks them about."""
-    rng = np.random.default_rng(0)
-    shape = 200, len(box_model.layout)
-    z = np.where(rng.random(shape) < 0.15, rng.uniform(0.05, 1.0, shape), 0.0)
-    floor, residue = 0.05 * rng.random(shape), 0.02 * rng.random(shape)
-    together = box_model.leak.without(z, floor, residue)
-    live = np.ones(shape[1], dtype=np.bool_)
-    for one, alone in zip(
-        zip(z, floor, residue, strict=True), zip(*together, strict=True), strict=True
-    ):
-        intake = Intake(box_model, EstimatorCounters())
-        seen = intake.observation(Activation(0.0, one[0], live, *one[1:]), np.zeros(3))
-        assert seen is not None
-        for expected, found in zip((seen.z, seen.floor, seen.residue), alone, strict=True):
-            assert np.allclose(expected, found, rtol=0.0, atol=1e-12)
-    assert (together[0] != z).any()
 
 
 def test_a_reading_that_leaks_may_have_costs_a_pose_little() -> None:

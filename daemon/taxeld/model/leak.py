@@ -1,7 +1,8 @@
 """The leak of a press into taxels beside it: cross-talk of its module, and skin that sags.
 
-Sag around the link is a part of the observation model (`sag`). An object may also end along the
-link, which the model does not follow: so what taxels above and below may add is held back here.
+Sag around the link is a part of the observation model (`response.sagging`). An object may also end
+along the link, which the model does not follow: so what taxels above and below may add is held back
+here.
 """
 
 import numpy as np
@@ -23,8 +24,6 @@ class Leak:
         place = layout.position_m
         apart = np.linalg.norm(place[:, None] - place, axis=-1)
         np.fill_diagonal(apart, np.inf)
-        self._coupled = CROSS_TALK * (module[:, None] == module)
-        np.fill_diagonal(self._coupled, 0.0)
         sag = np.exp(-apart / REACH_M)
         height = place[:, None, 2] - place[:, 2]
         self._along = _strongest(sag * (height / apart) ** 2)
@@ -33,26 +32,20 @@ class Leak:
     def of(self, z: Floats) -> Floats:
         """Activations (M,) or (n, M) → about the most that each taxel may read from elsewhere and
         the observation model does not follow, in the same shape."""
-        if z.ndim > 1:
-            return self._of_many(z, *self._along)
-        share, beside = self._along
-        sag = (share * z.take(beside)).max(axis=0)
-        return np.asarray(z @ self._coupled.T + sag)
+        return self._leaked(z, *self._along)
 
     def drawn(self, z: Floats) -> Floats:
-        """Activations (n, M) → about the most that each taxel may read from elsewhere, followed by
-        the model or not, in the same shape: samplers are trained with it."""
-        return self._of_many(z, *self._all)
+        """Activations (M,) or (n, M) → about the most that each taxel may read from elsewhere,
+        followed by the model or not, in the same shape: samplers are trained with it."""
+        return self._leaked(z, *self._all)
 
-    def _of_many(self, z: Floats, shares: Floats, besides: Index) -> Floats:
-        """`of` for activations (n, M), within rounding, in a tenth of the time: training calls it
-        for every batch."""
-        of_taxel = np.ascontiguousarray(z.T)
+    def _leaked(self, z: Floats, shares: Floats, besides: Index) -> Floats:
+        of_taxel = np.ascontiguousarray(z.T)  # taxels first: training reads thousands of scans
         member = self._member.astype(z.dtype)
         others = member @ (member.T @ of_taxel) - of_taxel  # other taxels of the module
         sag = np.zeros_like(of_taxel)
         for share, beside in zip(shares.astype(z.dtype), besides, strict=True):
-            np.maximum(sag, share[:, None] * of_taxel.take(beside, axis=0), out=sag)
+            np.maximum(sag.T, share * of_taxel.take(beside, axis=0).T, out=sag.T)
         return np.asarray((CROSS_TALK * np.maximum(others, 0.0) + sag).T)
 
     def without(
@@ -62,8 +55,6 @@ class Leak:
         from earlier presses. → activations that show a press at the taxel itself, 0 where they may
         come from elsewhere; their floors; and the parts that other presses may have added, with the
         residue. Each is (..., M)."""
-        if not z.any():  # nothing is pressed, and so nothing leaks
-            return z, np.broadcast_to(floor, z.shape), np.broadcast_to(residue, z.shape)
         leak = self.of(z)
         raised = np.maximum(floor, leak)
         return np.where(z < raised, 0.0, z), raised, np.hypot(residue, leak)
@@ -73,6 +64,6 @@ def _strongest(share: Floats) -> tuple[Floats, Index]:
     """Shares (M, M) of each column's press that each row reads → the greatest of each row, and
     their columns: (neighbours, M) each."""
     share = np.where(share < LEAST, 0.0, share)
-    most = max(int(np.count_nonzero(share, axis=1).max(initial=1)), 1)
+    most = int(np.count_nonzero(share, axis=1).max())
     order = np.argsort(-share, axis=1)[:, :most]
     return np.take_along_axis(share, order, axis=1).T.copy(), order.T.copy()
