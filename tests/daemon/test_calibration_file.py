@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,35 +18,10 @@ from taxeld.skin.calibration import DAY_S, Calibration, skin_digest
 from taxeld.source.recorder import Recorder
 from taxeld_protocol.frames import Frame
 from tests.rig.configurations import QUIET, configuration
+from tests.rig.skins import CALIBRATED_S as NOW
+from tests.rig.skins import calibration_of
 
-NOW = 1_760_000_000.0
 OTHER = "cylinder:rows=5,columns=14,radius_m=0.04,pitch_m=0.015"
-
-
-def of(skin: Layout, **changed: object) -> Calibration:
-    rng, taxels = np.random.default_rng(0), len(skin)
-    usual = Calibration(
-        t=NOW,
-        digest=skin_digest(skin),
-        object="box",
-        presses=20,
-        full_scale_depth_m=0.005,
-        full_scale_counts=18_432.1,
-        full_scale_sd=0.02,
-        bend=0.061,
-        bend_sd=0.03,
-        mount=np.array([0.0012, -0.0007, 0.031]),
-        mount_sd=np.array([1e-4, 1e-4, 2e-3]),
-        noise_sigma=0.045,
-        gain_cv=0.11,
-        gain=np.exp(0.15 * rng.standard_normal(taxels)),
-        gain_sd=rng.uniform(0.01, 0.17, taxels),
-        onset=rng.standard_normal(taxels),
-        onset_sd=rng.uniform(0.1, 0.8, taxels),
-        noise_counts=rng.uniform(5, 90, taxels),
-        frozen=np.arange(taxels) == 7,
-    )
-    return replace(usual, **changed)  # type: ignore[arg-type]
 
 
 def written(skin: Layout, place: Path, calibration: Calibration) -> Path:
@@ -63,7 +37,7 @@ def loaded(path: Path, skin: Layout, now: float = NOW, *, recorded: bool = False
 
 
 def test_what_is_written_is_read(skin: Layout, tmp_path: Path) -> None:
-    before = of(skin, object='a "box" \\ ü 🙂')
+    before = calibration_of(skin, object='a "box" \\ ü 🙂')
     after = loaded(written(skin, tmp_path / "c", before), skin)
     for name in Calibration.__dataclass_fields__:
         expected = getattr(before, name)
@@ -116,7 +90,7 @@ def test_a_damaged_file_is_refused_in_one_line_with_the_cure(
 ) -> None:
     damage, what = BAD[name]
     path = tmp_path / "c.toml"
-    path.write_text(damage(calibration_file.dump(of(skin), skin)), encoding="utf-8")
+    path.write_text(damage(calibration_file.dump(calibration_of(skin), skin)), encoding="utf-8")
     with pytest.raises(SetupError) as error:
         loaded(path, skin)
     message = str(error.value)
@@ -136,7 +110,7 @@ def test_a_file_that_is_missing_or_no_text_is_refused(skin: Layout, tmp_path: Pa
 
 def test_a_calibration_of_another_layout_is_refused_by_name(skin: Layout, tmp_path: Path) -> None:
     other = layouts.load(OTHER)
-    path = written(other, tmp_path / "c.toml", of(other))
+    path = written(other, tmp_path / "c.toml", calibration_of(other))
     with pytest.raises(SetupError, match="is of another layout") as error:
         loaded(path, skin)
     assert skin_digest(other) in str(error.value)
@@ -144,7 +118,7 @@ def test_a_calibration_of_another_layout_is_refused_by_name(skin: Layout, tmp_pa
 
 
 def test_an_old_calibration_is_refused_with_its_age(skin: Layout, tmp_path: Path) -> None:
-    path = written(skin, tmp_path / "c.toml", of(skin))
+    path = written(skin, tmp_path / "c.toml", calibration_of(skin))
     loaded(path, skin, NOW + 179 * DAY_S)
     with pytest.raises(SetupError, match=r"is 181 days old, more than 180"):
         loaded(path, skin, NOW + 181 * DAY_S)
@@ -158,7 +132,7 @@ def configured(place: Path, named: str) -> Path:
 
 
 def test_the_path_is_relative_to_the_configuration(skin: Layout, tmp_path: Path) -> None:
-    here = written(skin, tmp_path / "c.toml", of(skin))
+    here = written(skin, tmp_path / "c.toml", calibration_of(skin))
     assert load(configured(tmp_path, "c.toml")).skin.calibration == str(here)
     assert load(configured(tmp_path, str(here))).skin.calibration == str(here)
 
@@ -173,10 +147,10 @@ def test_check_refuses_what_run_would_refuse(
         "skin.calibration: c.toml: unreadable (No such file or directory); calib"
         in capsys.readouterr().err
     )
-    written(skin, tmp_path / "c.toml", of(skin, t=time.time() - 400 * DAY_S))
+    written(skin, tmp_path / "c.toml", calibration_of(skin, t=time.time() - 400 * DAY_S))
     assert main(["check", str(path)]) == 2
     assert "is 400 days old" in capsys.readouterr().err
-    written(skin, tmp_path / "c.toml", of(skin, t=time.time()))
+    written(skin, tmp_path / "c.toml", calibration_of(skin, t=time.time()))
     assert main(["check", str(path)]) == 0
 
 
@@ -188,7 +162,7 @@ def test_a_session_keeps_the_calibration_that_lies_beside_its_configuration(
 ) -> None:
     place, session = tmp_path / "robot", tmp_path / "session"
     place.mkdir()
-    source = written(skin, place / named, of(skin))
+    source = written(skin, place / named, calibration_of(skin))
     config = configured(place, named)
     calibration = Path(load(config).skin.calibration)
     with Recorder(session, moves=False, config=config, calibration=calibration) as recorder:

@@ -29,12 +29,6 @@ class Foam(SimulatedSkin):
         self.press[PRESSED] = counts
         return self.run(self.skin, seconds)
 
-    def release(self, kept: float, seconds: float) -> list[Activation]:
-        """Lift off a firm press, of which a share stays, half of it for long."""
-        times = PERIOD_S * np.arange(round(seconds / PERIOD_S))
-        left = kept * FIRM * 0.5 * (np.exp(-times / FAST_S) + np.exp(-times / SLOW_S))
-        return [self.hold(counts, PERIOD_S) for counts in left]
-
 
 @pytest.fixture
 def foam() -> Foam:
@@ -42,9 +36,15 @@ def foam() -> Foam:
 
 
 @pytest.mark.parametrize("kept", [0.01, 0.025, 0.09, 0.25])
-def test_what_foam_keeps_of_a_press_is_no_touch(foam: Foam, kept: float) -> None:
+def test_what_foam_keeps_of_a_press_is_no_touch_and_a_light_touch_above_it_is_felt_at_once(
+    foam: Foam, kept: float
+) -> None:
+    """Half of what it keeps stays for long."""
     assert foam.hold(FIRM).z[PRESSED] > 0.5
-    assert not any(activation.z.any() for activation in foam.release(kept, 20.0))
+    for t in np.arange(0.0, 20.0, PERIOD_S):
+        left = kept * FIRM * 0.5 * (np.exp(-t / FAST_S) + np.exp(-t / SLOW_S))
+        assert not foam.hold(left, PERIOD_S).z.any()
+    assert foam.hold(left + LIGHT, PERIOD_S).z[PRESSED] > 0.0
 
 
 def test_noise_about_what_foam_keeps_is_no_touch() -> None:
@@ -56,23 +56,11 @@ def test_noise_about_what_foam_keeps_is_no_touch() -> None:
     assert foam.level == pytest.approx(kept, abs=100.0)
 
 
-def test_a_light_touch_where_foam_still_recovers_is_felt_at_once(
-    foam: Foam,
-) -> None:
-    foam.hold(FIRM)
-    (*_, last) = foam.release(0.09, 0.5)
-    assert not last.z.any()
-    assert foam.hold(foam.press[PRESSED] + LIGHT, PERIOD_S).z[PRESSED] > 0.0
-
-
-def test_what_a_light_touch_leaves_after_a_firm_one_is_no_touch(
-    foam: Foam,
-) -> None:
-    foam.hold(FIRM)
-    foam.hold(0.0, 2.0)
-    assert foam.hold(2000.0).z[PRESSED] > 0.0
-    for _ in range(100):  # more than the threshold, and much less than foam may keep of the first
-        assert not foam.hold(400.0, PERIOD_S).z.any()
+def test_what_a_light_touch_leaves_after_a_firm_one_is_no_touch(foam: Foam) -> None:
+    """More than the threshold, and much less than foam may keep of the first."""
+    for counts, seconds, is_felt in ((FIRM, 1.0, True), (0.0, 2.0, False), (2000.0, 1.0, True)):
+        assert (foam.hold(counts, seconds).z[PRESSED] > 0.0) == is_felt
+    assert not any(foam.hold(400.0, PERIOD_S).z.any() for _ in range(100))
 
 
 def test_a_held_touch_is_felt_for_as_long_as_it_is_held(foam: Foam) -> None:
@@ -80,29 +68,21 @@ def test_a_held_touch_is_felt_for_as_long_as_it_is_held(foam: Foam) -> None:
         assert foam.hold(1000.0, 10.0).z[PRESSED] > 0.02
 
 
-def test_what_a_reading_may_hide_is_said_beside_it(foam: Foam) -> None:
+def test_an_activation_has_what_foam_may_hide_and_keep_and_no_baseline_follows_it(
+    foam: Foam,
+) -> None:
     threshold = foam.skin.threshold / FULL
     assert foam.run(foam.skin, PERIOD_S).floor == pytest.approx(threshold)
     foam.hold(FIRM)
+    before = foam.skin.baseline[PRESSED]
     activation = foam.hold(0.1 * FIRM, 0.5)  # foam, or a touch that is lighter now
     assert activation.z[PRESSED] == 0.0
     assert activation.residue[PRESSED] == pytest.approx(0.1 * FIRM / FULL, abs=0.02)
     assert activation.floor[PRESSED] > 0.1 * FIRM / FULL
-
-
-def test_a_touch_that_has_become_light_does_not_become_the_baseline(
-    foam: Foam,
-) -> None:
-    foam.hold(FIRM)
-    before = foam.skin.baseline[PRESSED]
+    foam.press[PRESSED + 1] = LIGHT
+    assert foam.run(foam.skin, 0.3).z[PRESSED + 1] > 0.0
     foam.hold(0.1 * FIRM, 60.0)
     assert foam.skin.baseline[PRESSED] == pytest.approx(before, abs=10.0)
-
-
-def test_neighbours_of_a_press_feel_what_they_feel(foam: Foam) -> None:
-    foam.hold(FIRM)
-    foam.press[PRESSED], foam.press[PRESSED + 1] = 0.0, LIGHT
-    assert foam.run(foam.skin, 0.3).z[PRESSED + 1] > 0.0
 
 
 def test_a_press_is_over_when_it_has_fallen_to_its_share() -> None:

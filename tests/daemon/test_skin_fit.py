@@ -12,12 +12,12 @@ from taxeld.model.noise import Noise
 from taxeld.model.observation import Lesson
 from taxeld.model.response import SAG_M, SAG_SD, Inverse, response, sagging
 from taxeld.proposals import bundle
-from taxeld.skin.calibration import Calibration
 from taxeld.skin.fit import SkinFit
 from taxeld.skin.skin import Skin
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
-from tests.daemon.test_skin_state import begun
+from tests.rig.simulated_skin import begun
+from tests.rig.skins import calibration_of
 
 TAXELS = 60
 NOISE = Noise(0.04, 0.17, sag_m=SAG_M, sag_sd=SAG_SD)
@@ -151,31 +151,10 @@ def test_what_was_learned_on_another_scale_is_not_taken(skin: Layout) -> None:
     _, subject = begun(skin)
     state = subject.state()
     assert state is not None
-    ones = np.ones(len(skin))
-    calibration = Calibration(
-        t=state.t - 60.0,
-        digest=subject.digest,
-        object="box",
-        presses=20,
-        full_scale_depth_m=0.005,
-        full_scale_counts=20_000.0,
-        full_scale_sd=0.01,
-        bend=0.05,
-        bend_sd=0.01,
-        mount=np.zeros(3),
-        mount_sd=np.zeros(3),
-        noise_sigma=0.03,
-        gain_cv=0.08,
-        gain=1.2 * ones,
-        gain_sd=0.05 * ones,
-        onset=0.3 * ones,
-        onset_sd=0.1 * ones,
-        noise_counts=30.0 * ones,
-        frozen=ones == 0.0,
-    )
+    calibration = calibration_of(skin)
     calibrated = Skin(skin, SkinConfig(), calibration=calibration, noise=NOISE)
     calibrated.restore(state)
-    assert np.allclose(calibrated.fit.values[0], 1.2)
+    assert np.allclose(calibrated.fit.values[0], calibration.gain)
     stretched = Skin(skin, SkinConfig(full_scale_counts=30_000.0), noise=NOISE)
-    stretched.restore(replace(state, response=np.vstack([1.3 * ones, state.response[1:]])))
+    stretched.restore(replace(state, response=1.3 * state.response))
     assert np.allclose(stretched.fit.values[0], 1.0)

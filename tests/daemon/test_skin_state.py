@@ -11,20 +11,17 @@ from taxeld.layout.layout import Layout
 from taxeld.skin.calibration import SkinState
 from taxeld.skin.skin import Skin
 from tests.rig.simulated_skin import SimulatedSkin
+from tests.rig.simulated_skin import begun as rested
 
 HELD = [3, 4]
 
 
-def begun(skin: Layout) -> tuple[SimulatedSkin, Skin]:
-    simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
-    simulated.run(subject, 4.0)
-    return simulated, subject
-
-
-def state_of(subject: Skin) -> SkinState:
+def begun(skin: Layout) -> tuple[SimulatedSkin, Skin, SkinState]:
+    """A skin, one that has read it, and what that keeps."""
+    simulated, subject = rested(skin, 4.0)
     state = subject.state()
     assert state is not None
-    return state
+    return simulated, subject, state
 
 
 def restarted(skin: Layout, state: SkinState) -> Skin:
@@ -33,10 +30,15 @@ def restarted(skin: Layout, state: SkinState) -> Skin:
     return subject
 
 
-def test_a_restarted_skin_feels_from_the_first_scan_though_it_is_held(skin: Layout) -> None:
-    simulated, before = begun(skin)
+@pytest.mark.parametrize("warmth", [0.0, 1_000.0])
+def test_a_restarted_skin_feels_a_held_touch_from_the_first_scan_though_it_has_warmed(
+    skin: Layout, warmth: float
+) -> None:
+    simulated, before, state = begun(skin)
+    simulated.coefficient, simulated.warmth = 0.5, lambda t: warmth + 0.0 * t
     simulated.press[HELD] = 5_000.0
-    subject = restarted(skin, state_of(before))
+    learned = replace(state, coefficient=np.full(4, 0.5), leak=np.full(4, 0.04))
+    subject = restarted(skin, learned)
     activation = subject.on_scan(simulated.scan())
     assert activation is not None
     assert np.flatnonzero(activation.z).tolist() == HELD
@@ -54,35 +56,22 @@ def test_a_restarted_skin_feels_from_the_first_scan_though_it_is_held(skin: Layo
         lambda simulated: simulated.press.__iadd__(5_000.0),
     ],
 )
-def test_a_baseline_that_the_skin_does_not_bear_out_is_captured_afresh(
+def test_a_baseline_that_the_skin_does_not_confirm_is_captured_anew(
     skin: Layout, happened: Callable[[SimulatedSkin], None]
 ) -> None:
-    simulated, before = begun(skin)
+    simulated, _, state = begun(skin)
     happened(simulated)
-    subject = restarted(skin, state_of(before))
+    subject = restarted(skin, state)
     assert subject.on_scan(simulated.scan()) is None
     simulated.run(subject, 3.0)
-    reads = simulated.base + simulated.press
-    assert np.abs(subject.baseline - reads).max() < 50.0
+    assert np.abs(subject.baseline - simulated.base - simulated.press).max() < 50.0
 
 
-def test_what_t0_explains_of_the_time_between_is_taken_off(skin: Layout) -> None:
-    simulated, before = begun(skin)
-    state = replace(state_of(before), coefficient=np.full(4, 0.5))
-    simulated.coefficient, simulated.warmth = 0.5, lambda t: 1_000.0 + 0.0 * t
-    simulated.press[HELD] = 5_000.0
-    subject = restarted(skin, replace(state, leak=np.full(4, 0.04)))
-    activation = subject.on_scan(simulated.scan())
-    assert activation is not None
-    assert np.flatnonzero(activation.z).tolist() == HELD
-    assert activation.z[HELD] == pytest.approx(0.25, abs=0.01)
-
-
-def test_what_was_dead_is_judged_when_it_speaks_and_a_first_scan_may_be_torn(
+def test_a_dead_taxel_is_judged_when_it_answers_and_a_first_scan_may_be_torn(
     skin: Layout,
 ) -> None:
-    simulated, before = begun(skin)
-    subject = restarted(skin, state_of(before))
+    simulated, _, state = begun(skin)
+    subject = restarted(skin, state)
     torn = simulated.scan()
     few = (*torn.counts[:12], *[-1] * (len(torn.counts) - 12))
     assert subject.on_scan(replace(torn, counts=few)) is None
@@ -95,8 +84,8 @@ def test_what_was_dead_is_judged_when_it_speaks_and_a_first_scan_may_be_torn(
 
 
 def test_tare_forgets_what_was_stored(skin: Layout) -> None:
-    simulated, before = begun(skin)
-    subject = restarted(skin, state_of(before))
+    simulated, _, state = begun(skin)
+    subject = restarted(skin, state)
     subject.tare()
     assert subject.on_scan(simulated.scan()) is None
     simulated.run(subject, 2.0)
