@@ -89,9 +89,8 @@ def test_approaches_are_told_in_the_poses_that_the_robot_sends(
 
 
 def test_where_there_is_no_advice_it_says_why(
-    felt: Pipeline, answer: Answer, config: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    felt: Pipeline, answer: Answer, config: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(client, "hears", lambda *_: False)
     answer(None)
     assert "no daemon answers" in refused("advise", config, status=1)
     answer({"ok": False, "error": "nothing was felt yet: touch the object first"})

@@ -10,7 +10,6 @@ import numpy as np
 import onnx
 import pytest
 
-from taxeld.commands import check
 from taxeld.config import file
 from taxeld.config.tables import FilterConfig, SceneConfig, SkinConfig
 from taxeld.errors import SetupError
@@ -221,11 +220,7 @@ def sizes(names: list[str], text: str = "") -> tuple[int, ...]:
     source = '[source]\nkind = "can"\nchannel = "a"\n'
     config = file.parse(f"{source}[scene]\nbundles = {names}\n[filter]\n{text}")
     now = bundle.sized(config, [bundle.manifest_of(name) for name in names]).filter
-    found = now.particles, now.particles_max, now.injected
-    whose = "this configuration says" if config.is_sized else "was enough when the bundle was built"
-    said = f"filter: {found[0]}..{found[1]} particles, {found[2]} samples, as {whose}"
-    assert check.notes(config) == [said] * (names not in (["box"], ["mug"]))
-    return found
+    return now.particles, now.particles_max, now.injected
 
 
 def test_what_was_enough_holds_unless_the_file_gives_any_of_these_keys(box: Path) -> None:

@@ -10,14 +10,12 @@ import pty
 import re
 import socket
 import tempfile
-import threading
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
 import pytest
-import zmq
 
 from taxeld.cli import main
 from taxeld.commands import check
@@ -27,7 +25,7 @@ from taxeld.errors import SetupError
 from taxeld.source import socketcan_device
 from taxeld.source.device import AwayError
 from taxeld.source.sources import open_source
-from taxeld.stream import client, messages
+from taxeld.stream import client
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import QUIET, Table, configuration
 from tests.rig.given_device import GivenDevice
@@ -297,41 +295,6 @@ def test_an_interface_that_is_down_is_noted(
     assert (noted in said) == is_down
 
 
-@pytest.fixture
-def publishing() -> Iterator[Callable[[str, bytes], None]]:
-    """Has a topic published at an endpoint for the rest of the test."""
-    done, speakers = threading.Event(), list[threading.Thread]()
-
-    def publish(endpoint: str, topic: bytes) -> None:
-        with zmq.Context() as context, context.socket(zmq.PUB) as socket:
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.bind(endpoint)
-            while not done.wait(0.02):
-                socket.send_multipart([topic, b"", b""])
-
-    def start(*what: object) -> None:
-        speakers.append(threading.Thread(target=publish, args=what))
-        speakers[-1].start()
-
-    yield start
-    done.set()
-    for one in speakers:
-        one.join()
-
-
-def test_a_robot_that_publishes_though_no_endpoint_is_set_is_noted(
-    place: Path, monkeypatch: pytest.MonkeyPatch, publishing: Callable[[str, bytes], None]
-) -> None:
-    usual = f"ipc://{place}/poses"
-    monkeypatch.setattr(check, "POSES_USUAL", usual)
-    monkeypatch.setattr(check, "HEAR_POSES_S", 30.0)
-    publishing(usual, b"/robot/sensor_pose")
-    noted = printed("check", configured(place, source=QUIET)).splitlines()[1:]
-    assert [line.startswith("note: sensor_pose.endpoint: is empty") for line in noted] == [True]
-    heard = configured(place, source=QUIET, sensor_pose={"endpoint": usual})
-    assert printed("check", heard).count("\n") == 1
-
-
 class TestUnanswered:
     @pytest.fixture(autouse=True)
     def _impatient(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -391,13 +354,6 @@ class TestUnanswered:
         assert told.startswith(f"no daemon answers at {endpoint}; is 'taxeld run' there? That of ")
         assert f"That of the service, in {service}, is " in told
         service.chmod(0o755)
-
-    def test_a_daemons_stream_is_not_its_control_endpoint(
-        self, place: Path, publishing: Callable[[str, bytes], None]
-    ) -> None:
-        publishing(f"ipc://{place}/stream", messages.ESTIMATE)
-        told = refused("status", f"ipc://{place}/stream", status=1)
-        assert told.startswith(f"ipc://{place}/stream is where a daemon publishes; name its contr")
 
     def test_what_takes_the_question_and_is_no_daemon_is_told(self, place: Path) -> None:
         with socket.socket(socket.AF_UNIX) as other:

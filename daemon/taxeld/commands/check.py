@@ -23,7 +23,7 @@ from taxeld.source.device import AwayError, BusyError
 from taxeld.source.devices import open_device
 from taxeld.source.socketcan_device import bring_up
 from taxeld.source.sources import live
-from taxeld.stream import client, curve, messages
+from taxeld.stream import client, curve
 
 SYS_NET = Path("/sys/class/net")
 IS_UP = 0x1  # IFF_UP
@@ -35,13 +35,7 @@ MODULES_TO_COME = (
 
 ALONE = "scene.bundle: is empty: the skin is served alone, and nothing is estimated"
 
-POSES_USUAL = "tcp://127.0.0.1:9874"  # address in the documents and examples
-HEAR_POSES_S = 0.3
 ASK_S = 0.5  # for a daemon to answer
-POSES_UNUSED = (
-    f"sensor_pose.endpoint: is empty, so the sensor is taken to stand still; but a robot publishes "
-    f'its poses at {POSES_USUAL}: set endpoint = "{POSES_USUAL}" if the sensor is on it'
-)
 
 
 def faults(config: Config) -> list[str]:
@@ -100,23 +94,9 @@ def _open(source: SourceConfig) -> None:
 def notes(config: Config) -> list[str]:
     """Lines on matters that no check can decide."""
     source = config.source
-    found = _sizes(config) if config.scene.names else [ALONE]
+    found = [] if config.scene.names else [ALONE]
     found += [line] if (line := _down(source)) else []
-    if not config.sensor_pose.endpoint:
-        heard = client.hears(POSES_USUAL, messages.SENSOR_POSE, HEAR_POSES_S)
-        found += [POSES_UNUSED] * heard
     return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
-
-
-def _sizes(config: Config) -> list[str]:
-    """Whose numbers of particles and samples hold, where a bundle says how many were enough."""
-    found = [bundle.manifest_of(name) for name in config.scene.names]
-    if not any(one.filter.keys for one in found):
-        return []
-    whose = "this configuration says" if config.is_sized else "was enough when the bundle was built"
-    now = bundle.sized(config, found).filter
-    size = f"{now.particles}..{now.particles_max} particles, {now.injected} samples"
-    return [f"filter: {size}, as {whose}"]
 
 
 def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:

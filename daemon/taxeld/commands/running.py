@@ -96,11 +96,6 @@ class Subscriber:
 
 def unanswered(endpoint: str) -> str:
     """Why no daemon answers at an endpoint, in one line with the cure."""
-    if client.hears(endpoint, messages.ESTIMATE, PROBE_S):
-        return (
-            f"{endpoint} is where a daemon publishes; name its control endpoint, control.endpoint "
-            "or relay.control of its configuration"
-        )
     path = endpoints.ipc_path(endpoint)
     none = f"no daemon answers at {endpoint}; is 'taxeld run' there?"
     if path is None:
@@ -117,7 +112,8 @@ def unanswered(endpoint: str) -> str:
             return f"no permission to ask at {endpoint}: it {_denied(path)}"
         except OSError:
             return none
-    return f"something at {endpoint} takes the question and does not answer; is it a taxeld daemon?"
+    silent = f"something at {endpoint} takes the question and does not answer"
+    return f"{silent}; is it a daemon's control endpoint?"
 
 
 def _is_closed(directory: Path) -> bool:

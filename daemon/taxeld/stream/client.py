@@ -20,17 +20,6 @@ KEYS = "TAXELD_KEYS"  # in the environment: a directory of SERVER and OWN, for a
 SERVER, OWN = "server.key", "client.key_secret"
 
 
-def hears(endpoint: str, topic: bytes, within_s: float) -> bool:
-    """Whether a topic that begins so is published there."""
-    with (
-        zmq.Context() as context,
-        open_socket(context, zmq.SUB, send=1, receive=1, largest=ANSWER_BYTES) as socket,
-    ):
-        socket.setsockopt(zmq.SUBSCRIBE, topic)
-        connect(socket, endpoint, "endpoint")
-        return bool(socket.poll(round(within_s * 1000)))
-
-
 def ask(
     endpoint: str,
     command: str,
