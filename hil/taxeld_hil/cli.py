@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from taxeld import cli as daemon_cli
 from taxeld import command_line
 from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
@@ -48,9 +47,8 @@ def _run(args: argparse.Namespace) -> int:
     from taxeld_hil.run.fake_run import FakeRun
     from taxeld_hil.run.live import LiveRun
 
-    for option, shown in (("--view", args.view), ("--png", args.png)):
-        if shown and args.target != "sim":
-            raise SetupError(f"{option}: a run on hardware records no session to show")
+    if args.png and args.target != "sim":
+        raise SetupError("--png: a run on hardware records no session to show")
     if args.png:
         from taxeld_hil.run import picture
     transport, _, channel = args.transport.partition(":")
@@ -77,18 +75,15 @@ def _run(args: argparse.Namespace) -> int:
     if args.png:
         picture.draw(out, args.png)
     if args.target == "sim":
-        _say_next(args, scenario, out)
+        _say_next(scenario, out)
     return 0 if grade.passed else 1
 
 
-def _say_next(args: argparse.Namespace, scenario: "Scenario", out: Path) -> None:
-    """How to see the session, or the viewer itself; and how a daemon gets this bundle."""
+def _say_next(scenario: "Scenario", out: Path) -> None:
+    """How to see the session, and how a daemon gets this bundle."""
     beside = Path(sys.argv[0]).with_name("taxeld")  # in a .venv that no shell has been told of
     program = str(beside) if shutil.which("taxeld") is None and beside.is_file() else "taxeld"
-    if args.view:
-        daemon_cli.main(["view", str(out)])  # where its extra lacks, it says so in a line
-    else:
-        _say(f"see it: {shlex.join([program, 'view', str(out)])}")
+    _say(f"see it: {shlex.join([program, 'view', str(out)])}")
     if scenario.links > 1:
         return  # their configuration is in the session
     given = ["--bundle", scenario.bundle]
@@ -185,7 +180,6 @@ def _of_run(made: argparse.ArgumentParser) -> None:
     add("--transport", default="", help=about)
     about = "the robot follows the daemon's advice (taxeld advise), in simulation"
     add("--advised", action="store_true", help=about)
-    add("--view", action="store_true", help="show the session in the end")
     about = "draw how the object was found: four moments of the session"
     add("--png", type=Path, metavar="OUT", help=about)
     about = "in place of the scenario's, as skin.layout; each of several is of a link"

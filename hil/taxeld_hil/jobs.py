@@ -76,23 +76,21 @@ def run(
     jobs: Sequence[Job],
     memory: Path,
     *,
-    workers: int = 2,
-    dask: str = "",
+    workers: int | str = 2,
     until: float = math.inf,
     describe: Callable[[Any], str] = lambda _: "",
 ) -> dict[str, Any]:
     """Results by job name; those that `memory`, a directory, holds are not run again.
 
-    Each worker has one thread. With `dask`, the address of a running scheduler, the jobs run on its
-    workers. No job begins after `until` (monotonic clock [s]); the result of a job that did not run
-    is None. `describe` writes a result for the line on
-    stderr that follows each job. On an interrupt the results so far are kept and the interrupt goes
-    on.
+    `workers`: how many, of one thread each, or the address of a running Dask scheduler, whose
+    workers the jobs run on. No job begins after `until` (monotonic clock [s]); the result of a job
+    that did not run is None. `describe` writes a result for the line on stderr that follows each
+    job. On an interrupt the results so far are kept and the interrupt goes on.
 
     Raises:
         SetupError: no such scheduler answers, `memory` cannot be written, or a worker died.
     """
-    if workers < 1:
+    if isinstance(workers, int) and workers < 1:
         raise SetupError("--workers must be at least 1")
     with _writing(memory):
         memory.mkdir(parents=True, exist_ok=True)
@@ -110,14 +108,16 @@ def run(
         taken = f"{done} of {len(todo)}, {time.monotonic() - began_s:.0f} s"
         _say(": ".join(filter(None, (taken, job.name, describe(result)))))
 
-    if not dask and min(workers, len(todo)) <= 1:
+    count = len(todo) if isinstance(workers, str) else min(workers, len(todo))
+    if isinstance(workers, int) and count <= 1:
         for job in todo:
             if time.monotonic() < until:
                 keep(job, _work(job))
         return results
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")  # inherited by the workers
-    with _on_dask(dask) if dask else _in_processes(min(workers, len(todo))) as (pool, places):
+    pools = _on_dask(workers) if isinstance(workers, str) else _in_processes(count)
+    with pools as (pool, places):
         _run_all(todo, pool, places, until, keep)
     return results
 
@@ -199,7 +199,7 @@ def _on_dask(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
     try:
         client = Client(address, timeout=PATIENCE)
     except (OSError, ValueError) as error:
-        raise SetupError(f"--dask: no scheduler answers at {address} ({error})") from None
+        raise SetupError(f"--workers: no scheduler answers at {address} ({error})") from None
     with client, client.get_executor(pure=False) as pool:
         yield pool, lambda: max(1, sum(client.ncores().values()))
 

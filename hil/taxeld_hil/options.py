@@ -40,10 +40,14 @@ def layouts(given: Sequence[str] | None) -> list[str]:
     return list(found.values())
 
 
+def _workers(text: str) -> int | str:
+    return text if "://" in text else int(text)
+
+
 def add_jobs(made: argparse.ArgumentParser) -> None:
     """Add the options of `jobs.run`."""
     add = made.add_argument
-    add("--workers", type=int, default=2, help="jobs at a time, one thread each")
-    add("--dask", default="", metavar="ADDRESS", help="a running Dask scheduler")
+    about = "jobs at a time, one thread each, or the address of a running Dask scheduler"
+    add("--workers", type=_workers, default=2, metavar="N|ADDRESS", help=about)
     about = "finished jobs; what was interrupted goes on from them (default %(default)s)"
     add("--memory", type=Path, default=Path(".experiments"), metavar="DIR", help=about)

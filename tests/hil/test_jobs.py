@@ -133,7 +133,7 @@ def test_the_same_jobs_run_on_a_dask_cluster(tmp_path: Path) -> None:
         n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
     ) as cluster:
         address = cluster.scheduler_address
-        found = jobs.run(three(tmp_path), tmp_path / "memory", dask=address)
+        found = jobs.run(three(tmp_path), tmp_path / "memory", workers=address)
     assert [found[f"job-{i}"]["square"] for i in range(3)] == [0, 1, 4]
     assert times_run(tmp_path) == [1, 1, 1]
 
@@ -144,8 +144,8 @@ def test_a_missing_scheduler_is_refused_in_one_line(
 ) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr(jobs, "PATIENCE", "300ms")
-    with pytest.raises(SetupError, match=r"--dask: no scheduler answers at tcp://127.0.0.1:9"):
-        jobs.run(three(tmp_path), tmp_path / "memory", dask="tcp://127.0.0.1:9")
+    with pytest.raises(SetupError, match=r"--workers: no scheduler answers at tcp://127.0.0.1:9"):
+        jobs.run(three(tmp_path), tmp_path / "memory", workers="tcp://127.0.0.1:9")
 
 
 def test_layouts_have_rows_in_turn_and_an_absent_file_is_left_out(

@@ -23,7 +23,6 @@ WRONG = [  # a command line, and words of its line
         "run demo --foam skin.json",
         "no foam 'skin.json'; there are scene, typical, poor, stiff; a lay",
     ),
-    ("run demo --target can:can0 --view", "--view: a run on hardware records no session to show"),
     ("run demo --clock fake --object party", NO_BUNDLE),
     ("run party", "no scenario 'party'; shipped are "),
     ("soak --foam marble", NO_FOAM),

@@ -19,7 +19,6 @@ from taxeld.commands.replay import Replay
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld.source.session import read_poses
-from taxeld_hil import cli as hil_cli
 from taxeld_hil.grade.judge import Sample
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
@@ -133,17 +132,6 @@ def test_a_run_on_the_fake_clock_leaves_a_session_that_replays_to_its_end(
     *_, last = Replay(tmp_path)
     assert last.estimate.status is Status.CONVERGED
     np.testing.assert_allclose(last.estimate.map[:2], truth[:2], atol=0.003)
-
-
-def test_a_run_shows_its_session_where_that_is_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    asked: list[list[str]] = []
-    monkeypatch.setattr("taxeld.cli.main", asked.append)
-    run = ["run", "demo", "--clock", "fake", "--foam", "scene", "--view"]
-    assert hil_cli.main([*run, "--out", str(tmp_path / "seen")]) == 0
-    assert asked == [["view", str(tmp_path / "seen")]]
-    assert "see it" not in capsys.readouterr().out
 
 
 def test_a_run_is_determined_by_its_seed() -> None:

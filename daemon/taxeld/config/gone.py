@@ -53,6 +53,8 @@ GONE: dict[str, str] = {
     "--log-level": "set log.level in CONFIG; a running daemon reads it again on SIGHUP",
     "--running": "what a running daemon has in use is no fault, if it answers",
     "--interface": "keep one interface's lines, as by grep ' can0 ' LOG",
+    "--dask": "say --workers ADDRESS",
+    "taxeld-hil run --view": "'taxeld view' shows the session that it names",
     "--endpoint": "name the endpoint in place of CONFIG",
     "--stream": "name the endpoint in place of CONFIG",
     "--keys": "set TAXELD_KEYS=DIR in the environment",

@@ -154,6 +154,6 @@ def _done(
     until: float = math.inf,
 ) -> list[dict[str, Any]]:
     """The results of the jobs that were begun until then (monotonic clock [s])."""
-    how = {"workers": args.workers, "dask": args.dask, "until": until, "describe": describe}
+    how = {"workers": args.workers, "until": until, "describe": describe}
     done = jobs.run(todo, args.memory, **how)
     return [done[job.name] for job in todo if done[job.name] is not None]

@@ -40,8 +40,7 @@ class Options:
     objects: tuple[str, ...] = ()
     layouts: tuple[str, ...] = ("",)  # "": the rings
     quick: bool = False
-    workers: int = 2
-    dask: str = ""
+    workers: int | str = 2  # of them, or the address of a Dask scheduler
     groups: tuple[str, ...] = ()  # filters by their proposal
     cells: tuple[str, ...] = ()  # factors and levels of the table of conditions
     until: float = math.inf  # monotonic clock [s]: jobs that have not begun by then are left out
@@ -64,7 +63,6 @@ def run_jobs(todo: Sequence[Job], options: Options, memory: Path | None = None) 
         todo,
         memory or options.measured,
         workers=options.workers,
-        dask=options.dask,
         until=options.until,
     )
 
