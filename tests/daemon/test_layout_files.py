@@ -37,13 +37,10 @@ def taxel(i: int) -> dict[str, Any]:
 
 
 def document(taxels: int = 40) -> dict[str, Any]:
-    tf_matrix = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0.1, 0.2, 0.3, 1]
     return {
         "info": {"file_version": "2", "type": "rigid_body", "name": "link"},
         "skin": {
-            "n_taxels": taxels,
-            "n_faces": 0,
-            "parent_frames": [{"key": 0, "tf_matrix": tf_matrix}],
+            "parent_frames": [{"key": 0}],
             "taxels": [taxel(i) for i in range(taxels)],
             "faces": [],
         },
@@ -89,26 +86,15 @@ def test_taxels_come_in_file_order_in_the_sensor_frame(tmp_path: Path) -> None:
     np.testing.assert_allclose(there[:, :3], skin.position_m, atol=1e-12)
     turn = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
     np.testing.assert_allclose(skin.frame[:3, :3], turn, atol=1e-12)
-    parent = [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]]
-    np.testing.assert_allclose(skin.source.parent, parent, err_msg="it is stored by columns")
-
-
-@pytest.mark.parametrize("frames", [None, [], [{"key": 0}], {}])
-def test_a_parent_frame_may_be_absent(tmp_path: Path, frames: Any) -> None:
-    made = changed(lambda skin, _: skin.update(parent_frames=frames))
-    assert read(tmp_path, made).source.parent is None
 
 
 def test_millimetres_are_told_by_the_extent(tmp_path: Path) -> None:
     file = document()
     for t in file["skin"]["taxels"]:
         t["x"] = [1e3 * v for v in t["x"]]
-    matrix = file["skin"]["parent_frames"][0]["tf_matrix"]
-    matrix[12:15] = [1e3 * v for v in matrix[12:15]]
     metres, skin = read(tmp_path, document()), read(tmp_path, file)
     assert (metres.source.unit, skin.source.unit) == ("m", "mm")
     np.testing.assert_allclose(skin.position_m, metres.position_m, atol=1e-12)
-    np.testing.assert_allclose(skin.source.parent, metres.source.parent)
 
 
 @pytest.mark.parametrize(
@@ -187,14 +173,6 @@ AT = "skin.taxels[12]"
         (changed(lambda skin, _: skin.update(taxels=[1])), "skin.taxels[0]: must be a table"),
         (changed(lambda skin, _: skin.update(taxels=[])), "holds 0 usable taxels"),
         (changed(lambda skin, _: skin.update(taxels={})), "skin.taxels: must be a list"),
-        (
-            changed(
-                lambda skin, _: skin["parent_frames"][0].update(
-                    tf_matrix=np.eye(4, k=3).tolist()[0] * 4
-                )
-            ),
-            "skin.parent_frames[0].tf_matrix: must be a rigid transform of 16 numbers, column by",
-        ),
         ([], "info, skin: must be objects; name a robotskinlib file"),
         ({"info": {"file_version": 2}}, "info, skin: must be objects"),
         ({"info": {"file_version": 1}, "skin": {}}, "info.file_version: must be 2, not 1"),

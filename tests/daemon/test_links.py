@@ -151,9 +151,3 @@ def test_two_links_of_the_same_modules_are_not_on_one_bus(tmp_path: Path) -> Non
             "skin.layout: link1 and link2 are on one bus, and both have module 1; "
             "give each link its own modules, or its own [skin.source]"
         ]
-
-
-def test_the_first_module_of_a_layout_changes_no_bundle() -> None:
-    one, two = layouts.load(SPEC), layouts.load(SECOND)
-    assert one.digest == two.digest
-    assert np.array_equal(one.uid + (8 << 4), two.uid)

@@ -149,9 +149,9 @@ def _from(path: Path, name: str) -> str:
     """The name of a file or directory relative to the configuration; of a shipped bundle, its
     name."""
     there = Path(name)
-    if bundle.is_shipped(name) or not os.path.exists(there):  # noqa: PTH110  (False of any text)
+    if name in bundle.shipped() or not os.path.exists(there):  # noqa: PTH110  (False of any text)
         return name
     there = there.parent.resolve() / there.name  # a link keeps its own name
     beside = path.parent.resolve()
     near = str(there.relative_to(beside) if there.is_relative_to(beside) else there)
-    return str(there) if bundle.is_shipped(near) else near  # of a directory that is called box
+    return str(there) if near in bundle.shipped() else near  # of a directory that is called box

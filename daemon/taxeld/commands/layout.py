@@ -51,8 +51,6 @@ def summary(layout: Layout) -> list[str]:
     lines = [f"{name:<10}{value}" for name, value in facts.items()]
     if not np.array_equal(layout.frame, np.eye(4)):
         lines += _matrix("frame", layout.frame, "from the file's frame [m] to the sensor frame")
-    if source.parent is not None:
-        lines += _matrix("parent", source.parent, "the file's tf_matrix [m]")
     return lines
 
 

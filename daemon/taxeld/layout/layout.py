@@ -20,7 +20,6 @@ class Provenance:
     missing: int = 0  # entries without a taxel: id −1, and temperatures
     cut: int = 0
     duplicates: int = 0  # taxels left out because their UID came before
-    parent: NDArray[np.float64] | None = None  # (4, 4) first parent frame's tf_matrix, in metres
     own_normals: bool = True  # whether the file has normals
 
 

@@ -28,7 +28,6 @@ MISSING_ID = -1
 UID_MAX = (1 << 36) - 1  # SUI u32 << 4 | name
 COLUMNS = ["x", "y", "z", "nx", "ny", "nz"]  # of a plain table
 METRES_MAX = 5.0  # m: a wider patch is in mm, as no link is 5 m wide and no module under 5 mm
-RIGID_TOLERANCE = 0.01  # files write 0.7071 for √½
 NORMAL_MIN = 1e-3
 NEAR_AXIS_M = 1e-9  # a taxel that is no farther from the axis has no outwards
 CURE = "correct it, or mark the taxel as missing"
@@ -104,8 +103,6 @@ def _placed(
         raise ValueError(
             f"taxels span {extent:g}, too far for metres or millimetres; correct the positions"
         )
-    if source.parent is not None:
-        source.parent[:3, 3] *= metres
     position = position * metres
     source.own_normals = normal.size > 0
     normal = normal if source.own_normals else fit.normals(position)
@@ -177,7 +174,6 @@ def _robotskinlib(text: str, source: Provenance) -> Taxels:
             raise ValueError(f"{place}: needs x and n; {CURE}")
         else:
             taken[taxel.id] = taxel
-    source.parent = _parent(skin.get("parent_frames"))
     position, normal = (np.array([getattr(taxel, k) for taxel in taken.values()]) for k in "xn")
     return [*taken], position, normal
 
@@ -192,26 +188,6 @@ def _entries(taxels: Any) -> Iterator[tuple[str, Any]]:
             continue
         for j, taxel in enumerate(item):
             yield f"skin.taxels[{i}][{j}]", taxel
-
-
-def _parent(frames: Any) -> Floats | None:
-    """The first parent frame's pose, which the file stores column by column."""
-    first = frames[0] if isinstance(frames, list) and frames else None
-    if not isinstance(first, dict) or "tf_matrix" not in first:
-        return None
-    place, faults = "skin.parent_frames[0].tf_matrix", list[str]()
-    numbers = gate.value(tuple[float, ...], first["tf_matrix"], faults, place)
-    matrix = np.zeros((4, 4))
-    if not faults and len(numbers) == 16:
-        matrix = np.reshape(numbers, (4, 4), order="F")
-    turn = matrix[:3, :3]
-    rigid = np.allclose(turn @ turn.T, np.eye(3), atol=RIGID_TOLERANCE)
-    if not (rigid and np.linalg.det(turn) > 0.0 and np.allclose(matrix[3], [0, 0, 0, 1])):
-        raise ValueError(
-            f"{place}: must be a rigid transform of 16 numbers, column by column; "
-            "transpose or remove it"
-        )
-    return matrix
 
 
 def _csv(text: str, source: Provenance) -> Taxels:  # noqa: ARG001

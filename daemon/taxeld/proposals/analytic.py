@@ -1,6 +1,6 @@
 """Proposals that are computed from the scene, without training."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -15,17 +15,22 @@ DRAWS, LEAST_FELT = 5000, 10  # contacts drawn by `check_contacts`, and the fewe
 NO_CONTACT = "scene: no contact with this skin can be made; build the bundle again"
 
 
+def _contacts(model: ObservationModel, n: int, rng: np.random.Generator) -> Iterator[Poses]:
+    """Rounds of contact poses, of `n` draws each."""
+    for _ in range(ROUNDS):
+        yield contacts.synthesise(
+            model.scene, model.layout.radius_m, model.depth_max_m, n, rng
+        ).pose
+
+
 def check_contacts(model: ObservationModel) -> None:
     """Check that contacts can be drawn: otherwise drawing them would never end.
 
     Raises:
         SetupError: hardly any land on the object, or are felt.
     """
-    rng = np.random.default_rng(0)
-    radius_m = model.layout.radius_m
-    made = contacts.synthesise(model.scene, radius_m, model.depth_max_m, DRAWS, rng)
-    felt = model.activation(made.pose).max(axis=1) > 0.0
-    if np.count_nonzero(felt) < LEAST_FELT:
+    poses = next(_contacts(model, DRAWS, np.random.default_rng(0)))
+    if np.count_nonzero(model.activation(poses).max(axis=1) > 0.0) < LEAST_FELT:
         raise SetupError(NO_CONTACT)
 
 
@@ -39,15 +44,11 @@ class Projection:
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
         """z (M,), live (M,) → contact poses (n, 3), whatever the activations."""
-        model = self._model
         found = np.empty((0, 3))
-        for _ in range(ROUNDS):
+        for poses in _contacts(self._model, 2 * n + 8, rng):
+            found = np.concatenate([found, poses])
             if len(found) >= n:
                 break
-            made = contacts.synthesise(
-                model.scene, model.layout.radius_m, model.depth_max_m, 2 * n + 8, rng
-            )
-            found = np.concatenate([found, made.pose])
         return found[:n]
 
 
@@ -103,14 +104,13 @@ class Table:
         rng = np.random.default_rng(seed)
         self._layout = layout
         h, poses = np.empty((0, len(layout))), np.empty((0, 3))
-        for _ in range(ROUNDS):
+        for made in _contacts(model, size, rng):
+            found = model.activation(made)
+            kept = found.max(axis=1) > 0.0
+            h, poses = np.concatenate([h, found[kept]]), np.concatenate([poses, made[kept]])
             if len(h) >= size:
                 break
-            made = contacts.synthesise(model.scene, layout.radius_m, model.depth_max_m, size, rng)
-            found = model.activation(made.pose)
-            kept = found.max(axis=1) > 0.0
-            h, poses = np.concatenate([h, found[kept]]), np.concatenate([poses, made.pose[kept]])
-        if len(h) < size:
+        else:
             raise SetupError(NO_CONTACT)
         h, poses = h[:size], poses[:size]
         turn = layout.sector[h.argmax(axis=1)]

@@ -82,20 +82,14 @@ class Bundle:
         return self.open(self.resolve(name))
 
 
-def is_shipped(name: str) -> bool:
-    return name in _shipped()
-
-
 def find(name: str, key: str = KEY) -> Path:
     """The directory of a shipped bundle's name or of a path; `key` is what names it."""
-    shipped = _shipped()
-    if name in shipped:
-        return shipped[name]
+    path = shipped().get(name, Path(name))
     with contextlib.suppress(OSError):  # a directory where this user may not look
-        if (Path(name) / manifest.NAME).is_file():
-            return Path(name)
+        if (path / manifest.NAME).is_file():
+            return path
     raise SetupError(
-        f"{key}: no bundle {name!r:.100}; shipped are {', '.join(sorted(shipped))}; "
+        f"{key}: no bundle {name!r:.100}; shipped are {', '.join(sorted(shipped()))}; "
         "others are built by 'taxeld-train build'"
     )
 
@@ -106,7 +100,8 @@ def manifest_of(name: str, key: str = KEY) -> Manifest:
     return manifest.parse(manifest.read(path), path)
 
 
-def _shipped() -> dict[str, Path]:
+def shipped() -> dict[str, Path]:
+    """The directories of the bundles that come with taxeld, by name."""
     folder = Path(str(resources.files("taxeld") / "bundles"))
     return {path.parent.name: path.parent for path in folder.glob(f"*/{manifest.NAME}")}
 
