@@ -102,7 +102,7 @@ def _decode(args: argparse.Namespace) -> int:
     taxeld decode --config can0.toml session/frames.log
     """
     from taxeld.commands.decode import decode, of_session
-    from taxeld.source.module_order import ListedModules
+    from taxeld.source.modules import ListedModules
 
     modules = load(args.config).source.modules if args.config else of_session(args.log)
     listed = ListedModules(modules) if args.config or modules else None

@@ -6,12 +6,11 @@ and out as whole lists, so that a thousand values take a fraction of a milliseco
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from operator import itemgetter
 from typing import Any, NamedTuple
 
-from taxeld_protocol.cyskin import Packet
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.modules import Module
 
@@ -158,7 +157,11 @@ class ArrayDecoder:
         self._t = self._back_t = -math.inf  # of the last frame, and of the last that went back
         self._back = 0  # frames in a row that went back, in order among themselves
 
-    def feed(self, frame: ArrayFrame) -> tuple[Packet | None, list[Scan]]:
+    def take(self, frames: Iterable[ArrayFrame]) -> Iterator[tuple[None, list[Scan]]]:
+        """As `feed`, one after the other."""
+        return map(self.feed, frames)
+
+    def feed(self, frame: ArrayFrame) -> tuple[None, list[Scan]]:
         """The scan of a frame; none where it cannot be used."""
         self._frames += 1
         self.fault = self._judge(frame)
@@ -173,7 +176,9 @@ class ArrayDecoder:
         """All counters; `frames` = `used` + the sum of `dropped`."""
         known = asdict(self.counters)
         dropped = {k: known.pop(k) for k in ("length_errors", "foreign", "disordered", "mixed")}
-        return {"frames": self._frames, "used": known["scans"], "dropped": dropped, **known}
+        no_line = dict.fromkeys(("bytes", "bytes_used", "bytes_dropped"), 0)
+        used = known["scans"]
+        return {"frames": self._frames, "used": used, "dropped": dropped, **known, **no_line}
 
     def _judge(self, frame: ArrayFrame) -> str:
         """Why a frame is not used; empty where it is."""

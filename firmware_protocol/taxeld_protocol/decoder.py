@@ -1,14 +1,15 @@
 """CySkin frames → scans: reassembly, the module table as traffic tells it, the SENSOR_DATA walk."""
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import accumulate
 
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command, Packet, Reassembler
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module, ModuleTable, is_of_bootloader
+from taxeld_protocol.serial_link import SerialReader
 
 MISSING = -1  # a channel of a scan that no packet filled
 DEFAULT_PERIOD_S = 0.05  # time between scans
@@ -100,6 +101,7 @@ class Decoder:
         once a hub. `period_s`: of the scans. When the end of one scan and the beginning of the next
         are lost, only the pause between what is left tells that they are two."""
         self.link = Reassembler()
+        self.line = SerialReader()
         self.counters = Counters()
         self.hubs: dict[int, _Hub] = {}
         self._assumed = assumed
@@ -123,6 +125,18 @@ class Decoder:
         if hub is not None:  # the next table under this id must have a version of its own
             self._versions = max(self._versions, hub.table.version + 1)
 
+    def take(self, items: Iterable[Frame | Chunk]) -> Iterator[tuple[Packet, list[Scan]]]:
+        """The packets that frames of a bus, or bytes of a line, complete, and the scans that each
+        of them ends: at most two."""
+        for item in items:
+            if isinstance(item, Frame):
+                packet, scans = self.feed(item)
+                if packet is not None:
+                    yield packet, scans
+            else:
+                for packet in self.line.feed(item.data, item.t):
+                    yield packet, self.on_packet(packet)
+
     def feed(self, frame: Frame) -> tuple[Packet | None, list[Scan]]:
         """The packet that the frame completes, and the scans that it ends: at most two."""
         packet = self.link.feed(frame)
@@ -130,10 +144,10 @@ class Decoder:
             return None, []
         return packet, self.on_packet(packet)
 
-    def drop_foreign(self) -> None:
-        """Count a frame that is no classic data frame."""
-        self.link.counters.frames += 1
-        self.link.counters.foreign += 1
+    def drop_foreign(self, frames: int = 1) -> None:
+        """Count frames that are no classic data frames."""
+        self.link.counters.frames += frames
+        self.link.counters.foreign += frames
 
     def on_packet(self, packet: Packet) -> list[Scan]:
         """Take a packet that came whole, from CAN or a serial link."""
@@ -164,6 +178,12 @@ class Decoder:
         dropped = {cause: link.pop(cause) for cause in ("crc", "length", "orphan", "foreign")}
         counters = asdict(self.counters)
         counters["unknown"] += dropped["foreign"]
+        line = asdict(self.line.counters)
+        size, used = line.pop("bytes"), line.pop("used")
+        counters |= {"bytes": size, "bytes_used": used}
+        counters["bytes_dropped"] = size - used - self.line.pending
+        if size:  # a serial line has packets, and no frames
+            link |= line
         return {**link, "dropped": dropped, "pending": self.link.pending, **counters}
 
     def _sensor_data(self, packet: Packet) -> list[Scan]:

@@ -17,12 +17,11 @@ import pytest
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source.bus_faults import BusFault
-from taxeld.source.devices import open_device
-from taxeld.source.sources import LiveSource, open_source
+from taxeld.source.sources import LiveSource, open_device, open_source
 from taxeld_hil.rig.adapters import KINDS, Adapter
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import SlcanPort
-from taxeld_protocol.cyskin import LEAVE_BOOTLOADER, Command, Packet
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command, Packet
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.slcan import BITRATES, split
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
@@ -65,7 +64,7 @@ class ServedSkin:
 
     def scans(self, more: int = 3) -> float:
         """Until so many more have come."""
-        counters = self.source.wire.decoder.counters
+        counters = self.source.decoder.counters
         wanted = counters.scans + more
         return self.until(lambda: counters.scans >= wanted)
 
@@ -223,7 +222,7 @@ def test_remote_and_fd_frames_are_passed_over_and_counted(opened: Opened) -> Non
     os.write(skin.port.fileno(), strange)
 
     def foreign() -> int:
-        return skin.source.wire.stats()["dropped"]["foreign"]  # type: ignore[index]
+        return skin.source.decoder.stats()["dropped"]["foreign"]  # type: ignore[index]
 
     skin.until(lambda: foreign() >= 5)
     skin.scans()
@@ -321,7 +320,6 @@ def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
     with closing(SlcanPort(tmp_path / "adapter", reached.append, kind)) as port:
         device = open_device(configured(str(tmp_path / "adapter")))
         heard, clock = list[Frame](), itertools.count()
-        (waiting,) = device.pack(LEAVE_BOOTLOADER, b"")
 
         def pass_on() -> None:
             now_s = 0.01 * next(clock)
@@ -329,7 +327,7 @@ def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
             device.tend(now_s)
             if not reached:
                 with suppress(BlockingIOError):
-                    device.put(waiting)
+                    device.send(BROADCAST, LEAVE_BOOTLOADER, b"")
             elif port.is_open:
                 port.send(WireUnit(LONG, None))
             heard.extend(item for item in device.read() if isinstance(item, Frame))
@@ -343,7 +341,7 @@ def test_a_frame_with_a_long_id_goes_to_python_cans_busses_as_such() -> None:
     with can.Bus(interface="virtual", channel="long") as bus:
         config = SourceConfig(kind="can", interface="virtual", channel="long")
         device = open_device(config)
-        device.put(LONG)
+        device.send(BROADCAST, LEAVE_BOOTLOADER, b"")
         message = bus.recv(PATIENCE_S)
         assert message is not None
         assert (message.arbitration_id, message.is_extended_id) == (LONG.can_id, True)

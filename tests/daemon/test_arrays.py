@@ -27,6 +27,7 @@ from tests.rig.clocks import until
 from tests.rig.configurations import configuration, toml
 from tests.rig.pressed_box import TRUTH
 from tests.rig.processes import free_port, replayed, taxeld
+from tests.rig.sessions import items_of, read
 from tests.rig.skins import SKIN
 from tests.rig.sockets import Sockets
 
@@ -95,14 +96,14 @@ def test_a_recording_holds_each_frame_and_a_cut_one_all_whole_lines(
 ) -> None:
     sent = frames(30, rest)
     place = written(tmp_path / "whole", sent)
-    assert session.read(place).items == sent
+    assert items_of(place) == sent
     assert session.begun(place) == sent[0].t
     data = (place / session.ARRAY).read_bytes()
     rng = np.random.default_rng(0)
     for size in rng.integers(0, len(data), 40):
         cut = shutil.copytree(place, tmp_path / "cut", dirs_exist_ok=True)
         (cut / session.ARRAY).write_bytes(data[:size])
-        assert session.read(cut).items == sent[: data[:size].count(b"\n")]
+        assert items_of(cut) == sent[: data[:size].count(b"\n")]
 
 
 def test_a_damaged_line_of_a_recording_is_named(tmp_path: Path) -> None:
@@ -110,7 +111,7 @@ def test_a_damaged_line_of_a_recording_is_named(tmp_path: Path) -> None:
     lines = (place / session.ARRAY).read_text(encoding="ascii").splitlines(keepends=True)
     (place / session.ARRAY).write_text(lines[0] + "[]\n" + lines[2], encoding="ascii")
     with pytest.raises(SetupError, match=r"array\.jsonl: line 2 is no array \(it is no map"):
-        session.read(place)
+        read(place)
 
 
 def scans(items: list[ArrayFrame], uids: Sequence[int] = UIDS) -> list[Scan]:
@@ -179,7 +180,7 @@ def test_each_kind_of_bad_input_is_logged_once_and_costs_no_scan(
         source.heed(connected=True, malformed=number, reason="t is no Unix time in seconds")
         came += source.poll(number / 20.0)
     assert [scan.t for scan in came] == [frame.t for frame in good]
-    assert source.wire.stats()["dropped"] == {
+    assert source.decoder.stats()["dropped"] == {
         **dict.fromkeys(("length_errors", "foreign", "mixed"), 60),
         "disordered": 4 * 60,
     }
@@ -217,7 +218,7 @@ def test_a_skin_that_sends_arrays_can_be_accepted(tmp_path: Path) -> None:
     with ArraySkin(endpoint, f"ipc://{tmp_path}/robot", "counts", idle=100_000):
         what = ["accept", f"array:{endpoint}", "--layout", LAYOUT, "--out", str(out)]
         assert hil.main([*what, "--seconds", "5"]) == 0
-    assert session.read(out).items
+    assert items_of(out)
 
 
 def test_init_writes_the_configuration_of_an_array(tmp_path: Path) -> None:

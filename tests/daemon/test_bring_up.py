@@ -62,11 +62,10 @@ class Bus:
                         self._hear(hub.short_id, answer, now)
             now = round(now + 0.01, 6)
 
-    def _ask(self, to: int, body: bytes, now: float) -> None:
-        command, to = (body[0], to) if body else (to, BROADCAST)
+    def _ask(self, to: int, command: int, payload: bytes, now: float) -> None:
         self.sent.append(command)
         self.said.append((now, to, command))
-        packet = Packet(now, to, command, body[1:])
+        packet = Packet(now, to, command, payload)
         for hub in self.hubs:
             if self._rng.random() < self.lost:
                 continue
@@ -442,7 +441,7 @@ def test_a_bus_that_makes_up_hubs_without_end_fills_no_table() -> None:
         answer = uid.to_bytes(4, "big")
         for ihb in (uid % 254 + 1, 9):
             bus.bring_up.on_packet(Packet(0.0, ihb, Command.DISCOVERY_PING, answer))
-    named |= {body for _, body in bus.bring_up.due(4.0)}
+    named |= {payload for *_, payload in bus.bring_up.due(4.0)}
     assert 0 < len(named) < SHORT_IDS, "one id is the hub's that is there"
     scans = bus.scans
     bus.run(4.0, 9.0)

@@ -22,7 +22,7 @@ from taxeld.commands import check
 from taxeld.config import endpoints
 from taxeld.config.file import load
 from taxeld.errors import SetupError
-from taxeld.source import socketcan_device
+from taxeld.source import socketcan
 from taxeld.source.device import AwayError
 from taxeld.source.sources import open_source
 from taxeld.stream import client
@@ -177,7 +177,7 @@ def test_check_says_what_run_says_of_a_device_that_does_not_open(
     path = configured(place, source={"kind": "can", "channel": "x", **source})
     if error is not None:
         monkeypatch.setattr(can, "Bus", fail)
-        monkeypatch.setattr(socketcan_device.socket, "socket", fail)
+        monkeypatch.setattr(socketcan.socket, "socket", fail)
     told = refused("check", path).rstrip()
     assert told.startswith(line)
     if waits:

@@ -16,7 +16,7 @@ class DaemonSource:
     def __init__(self, config: SourceConfig) -> None:
         self.taxels: dict[int, int] = {}
         self._bus = GivenDevice()
-        self._source = LiveSource(config, SKIN, lambda _: self._bus, None)
+        self._source = LiveSource(config, {0: SKIN}, lambda _: self._bus)
 
     def step(self, now_s: float, heard: list[Frame]) -> list[Frame]:
         self._bus.frames += heard
@@ -24,7 +24,7 @@ class DaemonSource:
             uids = [uid for module in scan.table for uid in module.uids]
             self.taxels = dict(zip(uids, scan.counts, strict=True))
         said, self._bus.sent = self._bus.sent, []
-        return [piece for piece in said if isinstance(piece, Frame)]
+        return [frame._replace(t=0.0) for frame in said]
 
 
 @pytest.mark.parametrize("name", NAMES)

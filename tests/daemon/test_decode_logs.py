@@ -12,10 +12,10 @@ import pytest
 from taxeld.commands.decode import decode
 from taxeld.errors import SetupError
 from taxeld.source import logs
-from taxeld.source.module_order import ListedModules
+from taxeld.source.modules import ListedModules
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk
 from taxeld_protocol import serial_link
+from taxeld_protocol.frames import Chunk
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.commands import refused
 from tests.rig.log_writers import (
@@ -56,7 +56,7 @@ def test_candump_text_is_read_as_python_can_reads_it(tmp_path: Path) -> None:
             (m.channel, (m.timestamp, m.arbitration_id, bytes(m.data), m.is_extended_id))
             for m in reader
         ]
-    assert list(logs.frames(log, logs.Damage())) == theirs
+    assert list(logs.read(log, logs.Damage())) == theirs
 
 
 @pytest.mark.parametrize(

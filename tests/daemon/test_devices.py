@@ -19,16 +19,15 @@ from can.interfaces.virtual import VirtualBus
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source import outbox as outboxes
 from taxeld.source.lines import SerialLine
-from taxeld.source.outbox import Outbox
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk
-from taxeld.source.sources import LiveSource, open_source
+from taxeld.source.sources import LiveSource, open_device, open_source
 from taxeld_protocol.cyskin import Command
+from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.serial_link import SerialReader
 from tests.rig.clocks import until
 from tests.rig.processes import python
+from tests.rig.sessions import items_of
 from tests.rig.skins import CHANNELS, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
 
@@ -131,52 +130,27 @@ def test_requests_go_out_again_and_whole_once_the_far_end_reads(far_end: FarEnd)
     source.close()
 
 
-class Narrow(SerialLine):
-    """A line that takes so many bytes, and then nothing until it has room again."""
+def test_a_request_that_has_begun_is_finished_before_the_next(
+    far_end: FarEnd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room, taken = 3, b""
 
-    def __init__(self, where: str) -> None:
-        super().__init__(where, 115_200)
-        self.room = 0
-        self.taken = b""
-
-    def read(self) -> list[Chunk]:
-        return []
-
-    def pack(self, command: int, payload: bytes) -> list[bytes]:
-        return [bytes([command]) * 4 + payload]
-
-    def _write(self, data: bytes) -> int:
-        part = data[: self.room]
-        self.taken += part
-        self.room -= len(part)
+    def write(_: SerialLine, data: bytes) -> int:
+        nonlocal room, taken
+        part = data[:room]
+        room, taken = room - len(part), taken + part
         return len(part)
 
-
-def test_a_request_that_has_begun_is_finished_and_one_that_is_too_old_is_dropped(
-    far_end: FarEnd,
-) -> None:
-    device = Narrow(far_end.device)
-    outbox = Outbox(device)
-    outbox.add([(1, b""), (2, b""), (3, b"")], 0.0)
-    device.room = 3
-    outbox.flush(0.0)
-    outbox.flush(outboxes.PATIENCE_S + 0.1)
-    assert outbox.dropped == 1
-    outbox.add([(4, b"")], 1.0)
-    device.room = 100
-    outbox.flush(1.0)
-    assert device.taken == b"\1\1\1\1\2\2\2\2\4\4\4\4"
-    assert not outbox
-
-
-def test_no_more_than_so_many_requests_wait(far_end: FarEnd) -> None:
-    device = Narrow(far_end.device)
-    outbox = Outbox(device)
-    outbox.add([(1, b"")] * 1000, 0.0)
-    assert outbox.dropped == 1000 - outboxes.MOST
-    device.room = 10_000
-    outbox.flush(0.0)
-    assert len(device.taken) == 4 * outboxes.MOST
+    monkeypatch.setattr(SerialLine, "_write", write)
+    device = open_device(SourceConfig(kind="serial", channel=far_end.device))
+    device.send(1, Command.DECLARE, b"")
+    with pytest.raises(BlockingIOError):
+        device.send(2, Command.DECLARE, b"")
+    room = 100
+    device.send(3, Command.DECLARE, b"")
+    packets = SerialReader().feed(taken, 0.0)
+    assert [packet.ihb for packet in packets] == [1, 3]
+    device.close()
 
 
 def test_a_can_bus_that_is_full_gets_its_requests_when_it_has_room_and_only_those_are_recorded(
@@ -229,7 +203,7 @@ def test_a_device_that_is_not_there_yet_is_waited_for_with_one_line(
         hub.serve(time.monotonic(), lambda _: [7] * CHANNELS)
         source.poll(time.monotonic())
 
-    until(lambda: source.wire.decoder.counters.scans >= 2, poll)
+    until(lambda: source.decoder.counters.scans >= 2, poll)
     assert source.waits_for == ""
     assert sum("is open" in message for message in caplog.messages) == 1
     source.close()
@@ -292,3 +266,38 @@ def test_who_hears_no_bus_of_python_cans_does_not_load_it() -> None:
     """It is a tenth of the time to start and of the memory."""
     code = "import sys, taxeld.service.loop; sys.exit('can' in sys.modules)"
     python(code)
+
+
+@pytest.mark.parametrize("interface", ["slcan", "native"])
+def test_what_waited_on_a_line_while_the_loop_was_stopped_is_dropped_and_counted(
+    tmp_path: Path, interface: str
+) -> None:
+    """Nothing tells when it came, and the robot may have moved meanwhile."""
+    stopped_s = 1.0
+    with (
+        Recorder(tmp_path / "session", moves=False) as recorder,
+        VirtualHub(tmp_path / "skin", MODULES, native=interface == "native") as hub,
+    ):
+        source = open_source(SourceConfig(**hub.source), SKIN, recorder)  # type: ignore[arg-type]
+        now, scans, held = 0.0, list[Scan](), list[Scan]()
+
+        def turn(into: list[Scan], *, polls: bool = True) -> None:
+            nonlocal now
+            now = round(now + 0.01, 6)
+            hub.serve(now, lambda k: [k + 1] * CHANNELS)
+            if polls:
+                into.extend(source.poll(now))
+
+        until(lambda: len(scans) >= 3, lambda: turn(scans))
+        before = hub.scans
+        for _ in range(round(stopped_s / 0.01)):
+            turn(scans, polls=False)
+        missed = hub.scans - before
+        assert missed >= 15
+        until(lambda: len(held) >= 3, lambda: turn(held))
+        assert [scan.counts[0] for scan in held] == [*range(hub.scans - 2, hub.scans + 1)]
+        assert source.counters.late == missed
+        source.close()
+    decoded = Decoder().take(items_of(tmp_path / "session"))  # type: ignore[arg-type]
+    counts = [scan.counts[0] for _, ended in decoded for scan in ended]
+    assert counts == [scan.counts[0] for scan in [*scans, *held]], "it is not recorded"

@@ -14,7 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.pipeline.freshness import Why
 from taxeld.service.loop import Daemon
-from taxeld.source.buses import joint
+from taxeld.source.links import joint
 from tests.rig.clocks import until
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.virtual_hub import VirtualHub
@@ -94,7 +94,7 @@ def test_touches_of_two_links_are_one_beliefs(
     rig = open_links(one_bus)
     rig.until(lambda: rig.whys == [Why.VALID, Why.VALID])
     pipeline = rig.daemon.pipeline
-    assert len(rig.daemon.inputs.buses) == 2 - one_bus
+    assert len(rig.daemon.inputs.sources) == 2 - one_bus
     assert [stage.skin.wiring.foreign for stage in pipeline.stages] == [(), ()]
     for k in range(2):
         skin, at = (rig.hubs[0][1], 80 * k) if one_bus else (rig.hubs[k][1], 0)

@@ -16,8 +16,8 @@ from taxeld.commands.record import Recording
 from taxeld.config.file import load, parse
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source import module_order
-from taxeld.source.module_order import UNPLACED_S
+from taxeld.source import modules
+from taxeld.source.modules import UNPLACED_S
 from taxeld.source.sources import LiveSource
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Scan
@@ -77,7 +77,7 @@ def is_right(scans: Sequence[Scan]) -> bool:
 def listener(modules: tuple[tuple[int, ...], ...] = ()) -> tuple[LiveSource, GivenDevice]:
     config = SourceConfig(kind="can", channel="x", listen_only=True, modules=modules)
     device = GivenDevice()
-    return LiveSource(config, SKIN, lambda _: device, None), device
+    return LiveSource(config, {0: SKIN}, lambda _: device), device
 
 
 def test_a_listener_reads_modules_in_the_order_of_the_list() -> None:
@@ -142,7 +142,7 @@ def test_a_strange_packet_does_not_end_a_listener_that_hears_its_skin() -> None:
         device.frames += scan(hub, 0.05 * k) + scan(stranger, 0.05 * k)
         source.poll(0.05 * k)
         assert source.fault == ""
-    assert source.wire.stats()["undeclared"] == 100  # packets of the stranger's
+    assert source.decoder.stats()["undeclared"] == 100  # packets of the stranger's
 
 
 def test_with_several_hubs_each_module_is_listed_with_its_hub() -> None:
@@ -182,7 +182,7 @@ def test_a_recording_is_read_by_what_it_tells_anywhere_or_by_the_list(told_when:
     heard = scan(hub, 1.0) + scan(hub, 2.0)
     items = {"before": answers + heard, "after": heard + answers, "listed": heard}[told_when]
     config = SourceConfig(kind="can", modules=LISTED if told_when == "listed" else ())
-    decoder = module_order.recorded(config, SKIN, items, "x")
+    decoder = modules.recorded(config, SKIN, lambda: items, "x")
     scans = [scan for frame in items for scan in decoder.feed(frame)[1]]
     assert len(scans) == 2
     assert is_right(scans)
@@ -203,16 +203,16 @@ def test_decode_with_a_configuration_reads_by_its_list_or_refuses(
         assert errors.startswith(f"source.modules: hub 1 of {path} streams")
 
 
-@pytest.mark.parametrize("beside", ["config.toml", module_order.FILE])
+@pytest.mark.parametrize("beside", ["config.toml", modules.FILE])
 def test_decode_of_a_sessions_log_reads_by_the_list_beside_it(tmp_path: Path, beside: str) -> None:
     """A skin of 13 modules, one of them cut: with full modules a quarter of the values is wrong."""
     cut = listed((sui, 0x76D if sui == 7 else 0xFFF) for sui in range(1, 14))
     path = log(tmp_path, scan(VirtualIhb(cut)))
     if beside == "config.toml":
-        modules = [(module.sui, module.mask) for module in cut]
-        configuration(tmp_path, source=QUIET | {"listen_only": True, "modules": modules})
+        pairs = [(module.sui, module.mask) for module in cut]
+        configuration(tmp_path, source=QUIET | {"listen_only": True, "modules": pairs})
     else:
-        module_order.write(tmp_path / beside, {1: cut})
+        modules.write(tmp_path / beside, {1: cut})
     heard, last = map(json.loads, printed("decode", path).splitlines())
     assert heard["modules"] == [module.uids for module in cut]
     assert last["stats"]["assumed"] == []
@@ -250,18 +250,18 @@ def test_check_tells_a_listener_without_a_list_when_it_must_be_started(
 
 def test_what_is_written_for_a_listener_can_be_pasted(tmp_path: Path) -> None:
     for name, tables in (("one", {1: MODULES}), ("two", {1: MODULES[:2], 5: MODULES[2:]})):
-        module_order.write(tmp_path / name, tables)
+        modules.write(tmp_path / name, tables)
         text = (tmp_path / name).read_text(encoding="utf-8")
         config = parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\nbundle = "box"\n')
-        given = module_order.given(config.source, SKIN)
+        given = modules.given(config.source, SKIN)
         assert {ihb: given.of(ihb) for ihb in tables} == tables
 
 
 def test_a_list_of_modules_is_written_over_nothing_and_through_no_link(tmp_path: Path) -> None:
     victim = tmp_path / "victim"
-    (tmp_path / module_order.FILE).symlink_to(victim)
+    (tmp_path / modules.FILE).symlink_to(victim)
     with pytest.raises(FileExistsError):
-        module_order.write(tmp_path / module_order.FILE, {1: MODULES})
+        modules.write(tmp_path / modules.FILE, {1: MODULES})
     assert not victim.exists()
 
 
@@ -283,8 +283,8 @@ def test_record_lists_the_modules_and_a_listener_reads_by_that_list(tmp_path: Pa
         process.terminate()
         printed, errors = process.communicate(timeout=PATIENCE_S)
     assert errors == ""
-    assert f"{out / module_order.FILE}, for source.modules" in printed
-    text = (out / module_order.FILE).read_text(encoding="utf-8")
+    assert f"{out / modules.FILE}, for source.modules" in printed
+    text = (out / modules.FILE).read_text(encoding="utf-8")
     config = parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\nbundle = "box"\n')
     assert config.source.modules == LISTED
 
@@ -313,7 +313,7 @@ def test_a_recording_of_a_hub_that_is_refused_says_so_and_lists_no_modules(tmp_p
 
         assert REFUSED in recording.run(serve)
     assert recording.scans == 0
-    assert not (tmp_path / "session" / module_order.FILE).exists()
+    assert not (tmp_path / "session" / modules.FILE).exists()
 
 
 @pytest.mark.check
@@ -333,7 +333,7 @@ def test_a_daemon_that_cannot_know_the_order_ends_and_a_recording_goes_on(
     if command == "record":
         assert (process.returncode, errors) == (0, "")
         assert "to replay it, list source.modules" in printed
-        assert not (out / module_order.FILE).exists()
+        assert not (out / modules.FILE).exists()
     else:
         assert (process.returncode, printed) == (2, "")
         *_, said = warnings(errors)

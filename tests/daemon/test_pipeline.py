@@ -24,14 +24,15 @@ from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.pipeline.poses import EXTRAPOLATE_S
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
-from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder, Scan
+from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.configurations import configuration
 from tests.rig.recorded import write_session
+from tests.rig.sessions import items_of, poses_of
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.virtual_hub import told
 
@@ -375,8 +376,7 @@ def test_a_replay_gives_the_bytes_of_the_daemon_that_took_the_same_in_ticks(
     box: Bundle, tmp_path: Path, tick_s: float
 ) -> None:
     recorded(box, tmp_path)
-    recorded_input = session.read(tmp_path)
-    poses, frames = deque(recorded_input.poses), deque(recorded_input.items)
+    poses, frames = deque(poses_of(tmp_path)), deque(items_of(tmp_path))
     modules = SimulatedSkin(SKIN).modules
     pipeline, decoder = pipeline_of(box, ROBOT), Decoder(lambda _: modules)
     live: list[Outcome] = []
@@ -386,8 +386,10 @@ def test_a_replay_gives_the_bytes_of_the_daemon_that_took_the_same_in_ticks(
         while poses and poses[0][0] <= now:
             pipeline.poses.add(*poses.popleft())
         scans: list[Scan] = []
-        while frames and frames[0].t <= now:
-            scans += decoder.feed(frames.popleft())[1]
+        while frames and frames[0][0] <= now:
+            frame = frames.popleft()
+            assert isinstance(frame, Frame)
+            scans += decoder.feed(frame)[1]
         live += pipeline.advance(scans, now)
     live += pipeline.advance((), math.inf)
     assert live[-1].estimate.contacts == 1

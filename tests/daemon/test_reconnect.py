@@ -9,13 +9,13 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk, Session
 from taxeld.source.sources import LiveSource, open_source
 from taxeld_protocol import serial_link
 from taxeld_protocol.decoder import Scan
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.clocks import until
+from tests.rig.sessions import read
 from tests.rig.skins import CHANNELS, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
 
@@ -41,7 +41,7 @@ def test_a_skin_that_is_unplugged_comes_back(tmp_path: Path, native: bool) -> No
     assert source.poll(time.monotonic()) == []
     hub.plug()
     before = hub.scans
-    until(lambda: source.wire.decoder.counters.scans >= 8, poll)
+    until(lambda: source.decoder.counters.scans >= 8, poll)
     assert source.counters.reopened == 1
     assert scans[-1].counts[0] > before
     assert hub.ihb.auto_sync
@@ -64,7 +64,7 @@ def test_a_serial_recording_is_read_back_as_it_came(tmp_path: Path) -> None:
         for chunk in items():
             recorder.take(chunk)
         recorder.pose(50.0, 0.1, -0.2, 3.0)
-    assert session.read(tmp_path / "s") == Session(items(), [(50.0, 0.1, -0.2, 3.0)])
+    assert read(tmp_path / "s") == (items(), [(50.0, 0.1, -0.2, 3.0)])
 
 
 def test_a_can_recording_is_read_back_as_it_came(tmp_path: Path) -> None:
@@ -72,7 +72,7 @@ def test_a_can_recording_is_read_back_as_it_came(tmp_path: Path) -> None:
     with Recorder(tmp_path / "s", moves=False) as recorder:
         for frame in frames:
             recorder.take(frame)
-    assert session.read(tmp_path / "s") == Session(frames, [])
+    assert read(tmp_path / "s") == (frames, [])
     assert not (tmp_path / "s" / session.POSES).exists()
 
 
@@ -90,4 +90,4 @@ def test_a_damaged_serial_recording_is_one_line(tmp_path: Path, times: str, faul
     (tmp_path / session.SERIAL).write_bytes(bytes(20))
     (tmp_path / session.SERIAL_TIMES).write_text(times, encoding="ascii")
     with pytest.raises(SetupError, match=fault):
-        session.read(tmp_path)
+        read(tmp_path)

@@ -18,13 +18,13 @@ from taxeld.errors import SetupError
 from taxeld.source import recorder as recorders
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk, Session
 from taxeld_protocol import slcan
-from taxeld_protocol.frames import Frame, parse_log_line
+from taxeld_protocol.frames import Chunk, Frame, parse_log_line
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
 from tests.rig.processes import PIPES, taxeld
+from tests.rig.sessions import items_of, read
 from tests.rig.skins import CHANNELS, MODULES
 from tests.rig.virtual_hub import VirtualHub
 
@@ -256,7 +256,7 @@ def test_a_full_disk_is_waited_for_and_costs_nothing_once_it_has_room(
         f"{tmp_path}/s: the recording waits (No space left on device)",
         f"{tmp_path}/s: the recording goes on",
     ]
-    assert session.read(tmp_path / "s") == Session([frame(number) for number in range(7)], [])
+    assert read(tmp_path / "s") == ([frame(number) for number in range(7)], [])
 
 
 def test_a_disk_that_stays_full_ends_the_recording_with_its_last_whole_record(
@@ -273,7 +273,7 @@ def test_a_disk_that_stays_full_ends_the_recording_with_its_last_whole_record(
     assert recorder.counters.failed
     assert recorder.counters.dropped == 2
     assert "the recording has ended (No space left on device)" in caplog.messages[-1]
-    assert session.read(tmp_path / "s") == Session([frame(0), frame(1)], [])
+    assert read(tmp_path / "s") == ([frame(0), frame(1)], [])
 
 
 def test_a_disk_that_hangs_costs_records_and_never_the_caller(
@@ -290,7 +290,7 @@ def test_a_disk_that_hangs_costs_records_and_never_the_caller(
         until(lambda: recorder.counters.frames + dropped == 2000)
         recorder.take(frame(3000))
     assert 1000 < dropped < 2000
-    assert session.read(tmp_path / "s").items[-1] == frame(3000)
+    assert items_of(tmp_path / "s")[-1] == frame(3000)
 
 
 def test_what_a_line_brings_is_bounded_by_its_bytes(

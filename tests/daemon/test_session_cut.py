@@ -23,13 +23,13 @@ from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk
 from taxeld.stream import messages
 from taxeld_protocol import cyskin, serial_link
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.commands import refused
 from tests.rig.configurations import config, configuration
+from tests.rig.sessions import read
 from tests.rig.skins import CHANNELS, MODULES, SKIN
 from tests.rig.virtual_hub import told
 
@@ -158,11 +158,11 @@ def test_a_number_that_was_cut_is_no_number(tmp_path: Path) -> None:
 def test_zeros_that_a_power_cut_left_at_the_end_are_no_record(tmp_path: Path) -> None:
     """As file systems do that have stored a file's length before what is in it."""
     record(tmp_path, "can")
-    whole = session.read(tmp_path)
+    whole = read(tmp_path)
     for name in (session.FRAMES, session.POSES, session.ABOUT):
         with (tmp_path / name).open("ab") as file:
             file.write(bytes(4096))
-    assert session.read(tmp_path) == whole
+    assert read(tmp_path) == whole
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_damage_that_is_not_at_the_end_is_an_error_with_its_line(
     lines = (tmp_path / name).read_bytes().splitlines(keepends=True)
     (tmp_path / name).write_bytes(b"".join([*lines[:7], row, b"\n", *lines[7:]]))
     with pytest.raises(SetupError, match=f"{name}: line 8 is "):
-        session.read(tmp_path)
+        read(tmp_path)
 
 
 @pytest.mark.parametrize("name", [session.FRAMES, session.POSES, session.ABOUT])
@@ -187,15 +187,7 @@ def test_a_line_without_end_is_one_line_of_error_and_takes_no_memory(
         file.write(b"0" * 5000)
         file.truncate(1 << 36)  # a file with a hole; more than there is memory
     with pytest.raises(SetupError, match=rf"{name}: damaged \(line \d+ is longer than 4096 bytes"):
-        session.read(tmp_path)
-
-
-def test_a_serial_file_that_is_too_large_for_memory_is_one_line_of_error(tmp_path: Path) -> None:
-    record(tmp_path, "native")
-    with (tmp_path / session.SERIAL).open("ab") as file:
-        file.truncate(1 << 36)  # a file with a hole
-    with pytest.raises(SetupError, match=r"serial.bin: unreadable \(it is larger than 1073741824"):
-        session.read(tmp_path)
+        read(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -213,27 +205,27 @@ def test_a_pipe_in_place_of_a_file_of_a_session_keeps_nobody_waiting(
     (tmp_path / name).unlink()
     os.mkfifo(tmp_path / name)
     with pytest.raises(SetupError, match=f"{name}: unreadable .it is no regular file"):
-        session.read(tmp_path)
+        read(tmp_path)
 
 
 def test_a_whole_session_says_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     record(tmp_path, "native")
-    session.read(tmp_path)
+    read(tmp_path)
     assert caplog.messages == []
 
 
 def test_a_session_without_a_version_is_read_as_the_first(tmp_path: Path) -> None:
     record(tmp_path, "native")
-    before = session.read(tmp_path)
+    before = read(tmp_path)
     (tmp_path / session.ABOUT).unlink()
-    assert session.read(tmp_path) == before
+    assert read(tmp_path) == before
 
 
 @pytest.mark.parametrize(
     ("about", "fault"),
     [
-        ("version = 2\n", "is of version 2"),
+        ("version = 3\n", "is of version 3"),
         ('bytes = "9"\n', "damaged"),
         (f"bytes = {'9' * 5000}\n", "damaged"),
         (f"version = 0x{'f' * 9999}\n", "damaged"),

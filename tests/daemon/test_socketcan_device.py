@@ -17,13 +17,13 @@ import can
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source import bus_faults, socketcan_device
+from taxeld.source import bus_faults, socketcan
 from taxeld.source.bus_faults import PASSED_S, BusFault
 from taxeld.source.device import AwayError, LostError
-from taxeld.source.devices import open_device
-from taxeld.source.socketcan_device import SocketCanDevice
-from taxeld.source.sources import LiveSource
+from taxeld.source.socketcan import SocketCanDevice
+from taxeld.source.sources import LiveSource, open_device
 from taxeld_protocol import cyskin
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.daemon.test_sources import counts
@@ -49,7 +49,7 @@ class Ours(socket.socket):
             raise
         if self.dropped:
             count = array.array("I", [self.dropped]).tobytes()
-            control.append((socket.SOL_SOCKET, socketcan_device.SO_RXQ_OVFL, count))
+            control.append((socket.SOL_SOCKET, socketcan.SO_RXQ_OVFL, count))
         return data, control, *rest
 
 
@@ -60,7 +60,7 @@ def ours(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Ours, socket.socket]
     near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
     far.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
     made = Ours(fileno=near.detach())
-    monkeypatch.setattr(socketcan_device, "opened", lambda _: made)
+    monkeypatch.setattr(socketcan, "opened", lambda _: made)
     yield made, far
     far.close()
     made.close()
@@ -154,12 +154,12 @@ def test_each_class_of_error_frames_is_counted_by_its_kind_and_said_with_its_cur
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.INFO, "taxeld")
-    source = LiveSource(CONFIG, SKIN, open_device, None)
+    source = LiveSource(CONFIG, {0: SKIN}, open_device)
     for now_s in (0.0, 1.0):
         bus.send(FRAME.pack(0x2000_0000 | classes, 8, bytes.fromhex(data).ljust(8, b"\0")))
         source.poll(now_s)
     assert {kind: n for kind, n in source.bus.counts.items() if n} == dict.fromkeys(told, 2)
-    assert source.wire.decoder.stats()["dropped"]["foreign"] == 0  # type: ignore[index]
+    assert source.decoder.stats()["dropped"]["foreign"] == 0  # type: ignore[index]
     faults = [kind for kind in told if kind not in bus_faults.NORMAL]
     lines = [f"source.channel: {BusFault(kind).line}" for kind in faults[:1]]
     assert [record.getMessage() for record in caplog.records] == lines, "the gravest, once"
@@ -183,7 +183,7 @@ def test_a_bus_that_is_off_is_waited_for_until_it_works_and_an_event_passes_by_i
     bus: socket.socket, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "taxeld")
-    source = LiveSource(CONFIG, SKIN, open_device, None)
+    source = LiveSource(CONFIG, {0: SKIN}, open_device)
 
     def said(now_s: float) -> list[str]:
         caplog.clear()
@@ -213,7 +213,7 @@ def test_a_bus_that_is_off_is_waited_for_until_it_works_and_an_event_passes_by_i
 def test_frames_that_the_kernel_dropped_are_counted_and_said(
     ours: tuple[Ours, socket.socket], caplog: pytest.LogCaptureFixture
 ) -> None:
-    source = LiveSource(CONFIG, SKIN, open_device, None)
+    source = LiveSource(CONFIG, {0: SKIN}, open_device)
     for dropped in (0, 5, 5, 12):
         ours[0].dropped = dropped
         ours[1].send(packed(Frame(0.0, 0x101, b"a")))
@@ -229,7 +229,7 @@ def virtual(channel: str) -> tuple[LiveSource, can.BusABC]:
         kind="can", interface="virtual", channel=channel, listen_only=True, modules=LISTED
     )
     bus = can.Bus(interface="virtual", channel=channel)
-    return LiveSource(config, SKIN, open_device, None), bus
+    return LiveSource(config, {0: SKIN}, open_device), bus
 
 
 @pytest.mark.parametrize(("name", "classes", "data", "told"), ERROR_FRAMES, ids=str)
@@ -264,10 +264,9 @@ class StateBus:
         self.state = can.BusState.ACTIVE
         self.fails = ""
 
-    def _recv_internal(self, _: float) -> tuple[None, bool]:
+    def recv(self, _: float) -> None:
         if self.fails:
             raise can.CanOperationError(self.fails)
-        return None, False
 
     def shutdown(self) -> None:
         """Nothing is open."""
@@ -291,7 +290,7 @@ def test_a_vendors_interface_tells_its_state_by_itself_or_by_an_exception(
     config = SourceConfig(
         kind="can", interface="kvaser", channel="1", listen_only=True, modules=LISTED
     )
-    source = LiveSource(config, SKIN, open_device, None)
+    source = LiveSource(config, {0: SKIN}, open_device)
     source.poll(0.0)
     assert sum(source.bus.counts.values()) == 0
     happens(bus)
@@ -320,16 +319,16 @@ def test_all_that_has_come_is_read_in_its_order(
 def test_requests_go_out_and_wait_while_the_kernel_takes_none(
     device: SocketCanDevice, bus: socket.socket
 ) -> None:
-    for frame in (Frame(0.0, 0x5FF, b"\x38\x02"), Frame(0.0, 0x17FF_FFFF, b"\x01", extended=True)):
-        device.put(frame)
-        assert bus.recv(64) == packed(frame)
+    for command in (Command.DECLARE, LEAVE_BOOTLOADER):
+        sent = device.send(BROADCAST, command, b"")
+        assert bus.recv(64) == packed(sent)
     with pytest.raises(BlockingIOError):
-        put_many(device, frame)
+        send_many(device)
 
 
-def put_many(device: SocketCanDevice, frame: Frame) -> None:
+def send_many(device: SocketCanDevice) -> None:
     for _ in range(100_000):
-        device.put(frame)
+        device.send(BROADCAST, Command.DECLARE, b"")
 
 
 def test_an_interface_that_goes_down_is_lost_after_the_frames_that_came_before(
@@ -344,7 +343,7 @@ def test_an_interface_that_goes_down_is_lost_after_the_frames_that_came_before(
 
 
 def test_a_skin_is_heard_by_it(bus: socket.socket) -> None:
-    source = LiveSource(CONFIG, SKIN, open_device, None)
+    source = LiveSource(CONFIG, {0: SKIN}, open_device)
     scans, began = [], time.time()
     for k in range(3):
         for command, payload in VirtualIhb(MODULES).sensor_data(counts(k)):

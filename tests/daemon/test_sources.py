@@ -13,11 +13,9 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source import session
 from taxeld.source.can_device import CanDevice
 from taxeld.source.device import LostError
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk
 from taxeld.source.sources import LiveSource, Source, least_period_ms, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
@@ -26,6 +24,7 @@ from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import Answer, HubLink, Phase, VirtualIhb
 from tests.rig.clocks import until
 from tests.rig.given_device import GivenDevice
+from tests.rig.sessions import items_of
 from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
 
@@ -168,28 +167,8 @@ def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
                 bus.send(message(frame))
         (scan,) = source.poll(0.0)
     assert list(scan.counts) == counts(3)
-    assert source.wire.stats()["unknown"] == 2
+    assert source.decoder.stats()["unknown"] == 2
     source.close()
-
-
-def test_a_clock_that_is_set_back_while_a_bus_is_read_makes_nobody_wait(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Python-can's own `recv` would go on until the old time is reached again."""
-    clock = iter(range(1000, 0, -1))
-    waits: list[float] = []
-
-    def nothing_there(self: can.BusABC, timeout: float) -> tuple[None, bool]:  # noqa: ARG001
-        waits.append(timeout)
-        return None, True
-
-    monkeypatch.setattr("can.bus.time", lambda: float(next(clock)))
-    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", nothing_there)
-    settings = SourceConfig(kind="can", interface="virtual", channel="clock")
-    source = open_source(settings, SKIN)
-    assert source.poll(0.0) == []
-    source.close()
-    assert waits == [0.0]
 
 
 @pytest.mark.parametrize(("behind_s", "kept"), [(0.02, True), (7200.0, True), (1e8, False)])
@@ -200,8 +179,8 @@ def test_stamps_of_an_adapters_own_clock_are_replaced_by_the_arrivals(
     config = SourceConfig(kind="can", interface="virtual", channel="stamps")
     stamp = time.time() - behind_s
     waiting = [can.Message(timestamp=stamp, arbitration_id=0x101, data=b"\x43")]
-    heard = lambda *_: (waiting.pop() if waiting else None, False)  # noqa: E731
-    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", heard)
+    heard = lambda *_: waiting.pop() if waiting else None  # noqa: E731
+    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "recv", heard)
     device = CanDevice(config)
     (frame,) = device.read()
     assert (frame.t == stamp) == kept
@@ -219,13 +198,13 @@ def test_a_bus_without_a_descriptor_is_polled_and_one_that_fails_is_lost_after_i
         can.CanOperationError("gone"),
     ]
 
-    def next_one(*_: object) -> tuple[object, bool]:
+    def next_one(*_: object) -> object:
         said = say.pop(0) if say else None
         if isinstance(said, Exception):
             raise said
-        return said, False
+        return said
 
-    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", next_one)
+    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "recv", next_one)
     device = CanDevice(SourceConfig(kind="can", interface="virtual", channel="x"))
     assert device.fileno() < 0
     assert [[frame.can_id for frame in device.read()] for _ in range(2)] == [[0x101], [0x102]]
@@ -247,7 +226,7 @@ def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_de
     cut = len(frames) // 2
     device = GivenDevice()
     with Recorder(tmp_path / "session", moves=False) as recorder:
-        source = LiveSource(settings, SKIN, lambda _: device, recorder)
+        source = LiveSource(settings, {0: SKIN}, lambda _: device, recorder)
         held = []
         for part in (frames[:5], [], frames[5:cut]):
             device.frames = part
@@ -266,13 +245,4 @@ def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_de
         assert source.device is None
         source.close()
     assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
-    assert session.read(tmp_path / "session").items == frames
-
-
-def test_bytes_of_a_line_that_gathered_are_one_piece_of_the_time_when_it_began() -> None:
-    """As many pieces as a pass has looked at would each be a row of a recording."""
-    chunks = [Chunk(1.0, b"a"), Chunk(1.5, b""), Chunk(2.0, b"bc")]
-    assert session.joined(chunks) == [Chunk(1.0, b"abc")]
-    frames = [Frame(1.0, 1, b""), Frame(2.0, 2, b"")]
-    for items in ([], chunks[:1], frames):
-        assert session.joined(items) == items
+    assert items_of(tmp_path / "session") == frames

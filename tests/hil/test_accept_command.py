@@ -48,7 +48,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SleepClock:
         "taxeld_hil.acceptance.accept",
         "taxeld_hil.acceptance.received",
         "taxeld.source.lines",
-        "taxeld.source.slcan_device",
     ):
         monkeypatch.setattr(f"{module}.time", made)
     return made

@@ -39,7 +39,7 @@ def test_a_session_of_two_links_replays_to_the_object_that_both_have_touched(
 ) -> None:
     run = passing(replace(LINKS, one_bus=one_bus), tmp_path)
     assert run.daemon is not None
-    assert len(run.daemon.buses) == 2 - one_bus
+    assert len(run.daemon.sources) == 2 - one_bus
     found = list(Replay(tmp_path))
     pressed = {o.link for o in found if o.activation is not None and o.activation.z.max() > 0.1}
     assert pressed == {0, 1}

@@ -1,8 +1,6 @@
 """A device without hardware: it hears what a test gives it, and keeps what it is sent."""
 
-from collections.abc import Sequence
-
-from taxeld.source.device import Device, LostError, Piece, frames_of
+from taxeld.source.device import Device, LostError, request_frame
 from taxeld_protocol.frames import Frame
 
 
@@ -10,7 +8,7 @@ class GivenDevice(Device):
     def __init__(self) -> None:
         super().__init__()
         self.frames: list[Frame] = []  # read next
-        self.sent: list[Piece] = []
+        self.sent: list[Frame] = []
         self.is_lost = False
 
     def read(self) -> list[Frame]:
@@ -19,11 +17,9 @@ class GivenDevice(Device):
         heard, self.frames = self.frames, []
         return heard
 
-    def pack(self, to: int, body: bytes) -> Sequence[Piece]:
-        return frames_of(to, body)
-
-    def put(self, piece: Piece) -> None:
-        self.sent.append(piece)
+    def send(self, to: int, command: int, payload: bytes) -> Frame:
+        self.sent.append(request_frame(to, command, payload))
+        return self.sent[-1]
 
     def close(self, wait_s: float = 0.0) -> None:
         """Nothing is held open."""

@@ -34,6 +34,7 @@ from taxeld.proposals.sampler import Sampler
 from taxeld.source import session
 from taxeld.stream import curve, messages
 from taxeld_hil.scenario import scenario
+from tests.rig.sessions import read
 
 from ..daemon.test_layout_files import document
 from .log_writers import bus, candump_log
@@ -140,7 +141,7 @@ def _in_session(name: str) -> Use:
         if name == session.FRAMES:
             (directory / session.SERIAL).unlink()
         (directory / name).write_bytes(content)
-        session.read(directory)
+        read(directory)
 
     return use
 

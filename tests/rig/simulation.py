@@ -29,12 +29,12 @@ from taxeld.pipeline.poses import PoseTrack
 from taxeld.service.clock import Ticker, WallClock
 from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
-from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages, pair
 from taxeld.stream.link import Link
 from taxeld.stream.pair import Kind
 from taxeld_hil.grade.reconcile import laws
+from tests.rig.sessions import poses_of
 from tests.rig.simulated_door import SimulatedDoor
 from tests.rig.simulated_world import (
     DISK,
@@ -220,7 +220,7 @@ class Run:
         if not written.failed:
             self._law(len(replayed) - len(live) in (0, 1), "scans are not in the recording")
         elif self.world.moves:  # of the last, the poses may not have been written
-            until = session.read(self._place).poses[-1:]
+            until = poses_of(self._place)[-1:]
             replayed = [e for e in replayed if until and e.t <= until[0][0]]
         if self.world.moves and self._kinds & GAPS_IN_POSES:
             first_s = min(f.at_s for f in self.world.faults if f.kind in GAPS_IN_POSES)

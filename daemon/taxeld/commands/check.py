@@ -18,11 +18,10 @@ from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file
-from taxeld.source.buses import check_uids, joint
 from taxeld.source.device import AwayError, BusyError
-from taxeld.source.devices import open_device
-from taxeld.source.socketcan_device import bring_up
-from taxeld.source.sources import live
+from taxeld.source.links import check_uids, joint
+from taxeld.source.socketcan import bring_up
+from taxeld.source.sources import live, open_device
 from taxeld.stream import client, curve
 
 SYS_NET = Path("/sys/class/net")

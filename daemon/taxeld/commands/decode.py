@@ -10,10 +10,9 @@ from taxeld.config import file as config_file
 from taxeld.config import gate
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source import logs, module_order, session
-from taxeld.source.module_order import ListedModules, missing
-from taxeld.source.wire import Decoded, Wire
-from taxeld_protocol.cyskin import Command
+from taxeld.source import logs, modules, session
+from taxeld.source.modules import ListedModules, missing
+from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.modules import NAMES, Module
 
@@ -37,7 +36,7 @@ def of_session(path: Path) -> Listed:
         ConfigError: a file of the session has faults.
     """
     if path.name in (session.FRAMES, session.SERIAL):
-        if (file := path.with_name(module_order.FILE)).exists():
+        if (file := path.with_name(modules.FILE)).exists():
             text = f'kind = "can"\n{config_file.text_of(file)}'
             return gate.parse(SourceConfig, text, str(file)).modules
         if (config := path.with_name(session.CONFIG)).exists():
@@ -68,12 +67,11 @@ def decode(path: Path, given: ListedModules | None = None) -> Iterator[str]:
         return _tables(path, given, assumed)
 
     damage, decoder = logs.Damage(), Decoder(lambda ihb: tables().get(ihb, ()))
-    wire = Wire(decoder)
-    for heard in _heard(path, decoder, wire, damage):
-        yield from map(_line, heard.scans)
+    for _, scans in _heard(path, decoder, damage):
+        yield from map(_line, scans)
     yield from map(_line, decoder.flush())
-    stats = wire.stats() if _is_serial(path) else decoder.stats()
-    yield _json({"stats": {**stats, "bad_lines": damage.count, "assumed": assumed}})
+    stats = {**decoder.stats(), "bad_lines": damage.count, "assumed": assumed}
+    yield _json({"stats": stats})
     if damage.count:
         log.warning(
             "%s: left out what is damaged or no frame (counted as %d bad_lines), at first %s",
@@ -83,33 +81,25 @@ def decode(path: Path, given: ListedModules | None = None) -> Iterator[str]:
         )
 
 
-def _is_serial(path: Path) -> bool:
-    return path.suffix.lower() == logs.SERIAL_ENDING
-
-
-def _heard(path: Path, decoder: Decoder, wire: Wire, damage: logs.Damage) -> Iterator[Decoded]:
-    """Packets and scans of a log, by a decoder, and by its wire where it is of a serial line."""
-    if _is_serial(path):
-        for chunk in logs.chunks(path, damage):
-            yield from wire.data(chunk.data, chunk.t)
-        if not wire.packets:
-            raise SetupError(f"{path}: has no packet of a hub's serial link")
-        return
+def _heard(
+    path: Path, decoder: Decoder, damage: logs.Damage
+) -> Iterator[tuple[Packet, list[Scan]]]:
+    """Packets and scans of a log."""
     names: set[str] = set()
-    for name, frame in logs.frames(path, damage):
+    for name, item in logs.read(path, damage):
         names.add(name)
         if len(names - {""}) > 1:
             several = ", ".join(sorted(names - {""}))
             raise SetupError(f"{path}: has frames of several interfaces, {several}; {ONE}")
-        if frame is None:
+        if item is None:
             decoder.drop_foreign()
-            continue
-        packet, scans = decoder.feed(frame)
-        if packet is not None or scans:
-            yield Decoded(packet, scans)
+        else:
+            yield from decoder.take([item])
     if not names:
         first = f" ({damage.first})" if damage.count else ""
         raise SetupError(f"{path}: has no frame{first}; {KNOWN}")
+    if logs.is_serial(path) and not decoder.line.counters.packets:
+        raise SetupError(f"{path}: has no packet of a hub's serial link")
 
 
 def _tables(
@@ -118,8 +108,8 @@ def _tables(
     """The module table of each hub of the log; `assumed` is given the hubs whose table is."""
     decoder = Decoder()
     reached: dict[int, int] = {}  # hub → channels of full modules that its packets reach
-    for packet, _ in _heard(path, decoder, Wire(decoder), logs.Damage()):
-        if packet is not None and packet.command == Command.SENSOR_DATA and packet.payload:
+    for packet, _ in _heard(path, decoder, logs.Damage()):
+        if packet.command == Command.SENSOR_DATA and packet.payload:
             module, channel, values = *packet.payload[:2], len(packet.payload) // 2 - 1
             end = module * NAMES + channel + values
             reached[packet.ihb] = max(reached.get(packet.ihb, 0), end)

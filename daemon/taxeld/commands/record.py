@@ -5,7 +5,8 @@ It is a process of its own that brings the skin up; `taxeld run --record` record
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from taxeld.config.tables import Config, SourceConfig
@@ -13,10 +14,9 @@ from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.service.doorkeeper import Doorkeeper, poses_alone
-from taxeld.source import buses, module_order
+from taxeld.source import modules
 from taxeld.source.recorder import Recorder
-from taxeld.source.source import Source
-from taxeld.source.sources import open_source
+from taxeld.source.sources import Source, open_source, open_sources, polled
 from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Decoder, Scan
 
@@ -32,10 +32,8 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
         SetupError: the directory cannot be recorded into.
     """
     named = Path(config.skin.calibration) if config.skin.calibration else None
-    moves = bool(config.sensor_pose.endpoint)
-    recorder = Recorder(directory, moves=moves, config=config_path, calibration=named)
-    recorder.beside = [Recorder(directory / name, moves=moves) for name in config.names[1:]]
-    return recorder
+    moves, links = bool(config.sensor_pose.endpoint), len(config.names)
+    return Recorder(directory, moves=moves, config=config_path, calibration=named, links=links)
 
 
 class Recording:
@@ -66,44 +64,43 @@ class Recording:
         with contextlib.ExitStack() as opened:
             door = opened.enter_context(contextlib.closing(Doorkeeper(poses_alone(config))))
             recorder = opened.enter_context(self._recorder)
-            track = PoseTrack(recorder.pose)
-            tracks = [track, *(PoseTrack(beside.pose) for beside in recorder.beside)]
+            numbers = range(len(config.names))
+            tracks = [PoseTrack(partial(recorder.pose, link=k)) for k in numbers]
             link = Link({}, lambda *pose: tracks[pose[4]].add(*pose[:4], time.time()), {})
 
-            def open_one(bus: SourceConfig, skin: Layout, first: int) -> Source:
-                source = open_source(bus, skin, recorder.of(first))
+            def open_one(one: SourceConfig, skins: Mapping[int, Layout]) -> Source:
+                source = open_source(one, skins, recorder)
                 opened.callback(source.close)
                 if source.comes_by_door:
                     link.on_array = source.hear
                 return source
 
             skins = [layouts.load(one.skin.layout) for one in config.each]
-            sources = [bus.source for bus in buses.opened(config, skins, open_one)]
+            sources = open_sources(config, skins, open_one)
             door.wait(link)
             while not self.stopping and not self.failed:
                 now_s = time.monotonic()
                 door.look(now_s)
-                scans, *further = (source.poll(now_s) for source in sources)
-                self.scans += sum(map(len, further))
-                self.scans += len(scans)
+                scans = polled(sources, now_s)
+                self.scans += sum(map(len, scans))
                 if on_poll is not None:
-                    on_poll(scans, track)
+                    on_poll(scans[0], tracks[0])
                 time.sleep(POLL_S)
         return self._summary() + self._listed(sources[0])
 
     def _listed(self, source: Source) -> str:
         """Write the hubs' modules to a file for later listeners; → a line that names the file."""
-        decoder, written = source.wire.decoder, self._recorder.counters
+        decoder, written = source.decoder, self._recorder.counters
         if not isinstance(decoder, Decoder) or not (written.frames or written.bytes):
             return ""
-        tables, path = module_order.complete(decoder), self._directory / module_order.FILE
+        tables, path = modules.complete(decoder), self._directory / modules.FILE
         if not tables and decoder.refusal:
             return f"; {decoder.refusal}"
         if not tables:
             unheard = "no DECLARE and MODULE_DETAILS were heard: to replay it, list source.modules"
             return f"; {unheard}" if decoder.counters.undeclared or decoder.counters.scans else ""
         try:
-            module_order.write(path, tables)
+            modules.write(path, tables)
         except OSError as error:
             return f"; {path} cannot be written ({error.strerror})"
         return f"; its modules are listed in {path}, for source.modules"

@@ -1,38 +1,34 @@
 """Replay of a session: the daemon's pipeline on recorded input, without a clock."""
 
-import heapq
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from operator import itemgetter
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from taxeld.arrays import Floats, Poses
-from taxeld.config.tables import Config
+from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.proposals import bundle
-from taxeld.service.clock import is_step
 from taxeld.service.prepare import prepared
 from taxeld.skin.patches import Patches
-from taxeld.source import module_order, session
-from taxeld.source.buses import Bus, joint
-from taxeld.source.session import Chunk, PoseRow
-from taxeld.source.source import Source
-from taxeld.source.wire import Wire
+from taxeld.source import modules, session
+from taxeld.source.links import LinkTable, joint
+from taxeld.source.session import Record
 from taxeld.stream import messages
 from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.decoder import Scan
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 
-Item = Frame | Chunk | ArrayFrame
-Arrival = Item | PoseRow
+OfSkin = Frame | Chunk | ArrayFrame
 
 
 class Replay:
@@ -148,62 +144,65 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
 
 
 def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
-    """The outcome of each scan of a session.
+    """The outcome of each scan of a session, which is never held whole.
 
     Raises:
         SetupError: the session cannot be read, or its modules' order is unknown.
     """
-    config, streams, firsts = pipeline.config, [], list[float]()
-    for source, numbers in config.buses:
-        place = _place(directory, config, numbers[0])
-        if numbers[0] and not place.is_dir():  # nothing came from this link
-            continue
-        own = [pipeline.stages[k].skin.layout for k in numbers]
-        recorded = session.read(place)
-        streams.append(_ordered(recorded.poses, numbers[0]))
-        for k in numbers[1:]:
-            path = _place(directory, config, k) / session.POSES
-            streams.append(_ordered(session.read_poses(path) if path.exists() else (), k))
-        if recorded.items:  # else the session was cut before its first record
-            firsts.append(recorded.items[0].t)
-            decoder = module_order.recorded(source, joint(own), recorded.items, str(place))
-            bus = Bus(Source(Wire(decoder)), numbers, own)
-            streams.append(_ordered(recorded.items, bus))
-    if not firsts:
-        return
-    before = 0, min(firsts)
+    config, stages = pipeline.config, pipeline.stages
+    for name in config.names[1:]:
+        if (directory / name).is_dir():
+            raise SetupError(
+                f"{directory / name}: links no longer have folders of their own in a session; "
+                "record it anew"
+            )
+    shared = config.buses
+    sources = [
+        RecordedSource(
+            directory, one, {k: stages[k].skin.layout for k in numbers}, alone=len(shared) == 1
+        )
+        for one, numbers in shared
+    ]
+    steps, before = 0, 0.0
     # as the daemon does: poses up to the arrival of a scan's last frame are known
-    for now, came, of in heapq.merge(*streams, key=itemgetter(0)):
-        if now[0] > before[0]:
-            pipeline.clock_stepped(now[1] - before[1])
-        before = now
-        scans: list[list[Scan]] = [[] for _ in pipeline.stages]
-        if isinstance(of, Bus) and isinstance(came, Item):
-            for heard in of.source.wire.take([came]):
-                of.sort(heard.scans, scans)
-            yield from pipeline.advance(scans[0], now[1], *scans[1:])
-        elif isinstance(of, int) and not isinstance(came, Item):
-            yield from pipeline.advance((), now[1])
-            pipeline.stages[of].poses.add(*came)
+    for record in session.records(directory):
+        if record.steps > steps:
+            pipeline.clock_stepped(record.t - before)
+        steps, before = record.steps, record.t
+        scans: list[list[Scan]] = [[] for _ in stages]
+        for source in sources:
+            source.take(record, scans)
+        yield from pipeline.advance(scans[0], record.t, *scans[1:])
+        if not isinstance(record.item, OfSkin) and record.link < len(stages):
+            stages[record.link].poses.add(*record.item)
     yield from pipeline.advance((), math.inf)
 
 
-def _place(directory: Path, config: Config, link: int) -> Path:
-    """Where a link's records are: a further link has a folder of its name."""
-    return directory / config.names[link] if link else directory
+class RecordedSource:
+    """A source of a session."""
 
+    def __init__(
+        self, directory: Path, config: SourceConfig, skins: Mapping[int, Layout], *, alone: bool
+    ) -> None:
+        """`alone`: whether it is the only one."""
+        self._directory, self._config, self._alone = directory, config, alone
+        self._layout, self._links = joint(list(skins.values())), LinkTable(skins)
 
-def _ordered(
-    arrivals: Iterable[Arrival], of: int | Bus
-) -> Iterator[tuple[tuple[int, float], Arrival, int | Bus]]:
-    """Arrivals `of` a link or a bus with their keys of order: the number of earlier steps back of
-    the clock, and the time.
+    def take(self, record: Record, into: Sequence[list[Scan]]) -> None:
+        """Add the scans that its record ends to those `into` a list for each link."""
+        if self._has(record):
+            for _, scans in self._decoder.take([record.item]):
+                self._links.sort(scans, into)
 
-    Only a step back shows in a recording: a step forward looks like a pause.
-    """
-    steps, before = 0, -math.inf
-    for came in arrivals:
-        t = came.t if isinstance(came, Item) else came[0]
-        steps += is_step(min(t - before, 0.0))
-        before = t
-        yield (steps, t), came, of
+    def _has(self, record: Record) -> bool:
+        item, is_array = record.item, self._config.kind == "array"
+        if not isinstance(item, OfSkin) or isinstance(item, ArrayFrame) != is_array:
+            return False
+        return self._alone or is_array or record.link == self._links.numbers[0]
+
+    @cached_property  # a session may have been cut before its first record
+    def _decoder(self) -> Any:
+        def items() -> Iterator[Any]:
+            return (r.item for r in session.items(self._directory) if self._has(r))
+
+        return modules.recorded(self._config, self._layout, items, str(self._directory))

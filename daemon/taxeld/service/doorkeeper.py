@@ -21,8 +21,7 @@ from pathlib import Path
 from taxeld.config.tables import Config
 from taxeld.door.settings import OOM_SCORE, REFUSED, Settings
 from taxeld.errors import SetupError
-from taxeld.source.array_source import ArraySource
-from taxeld.source.source import Source
+from taxeld.source.sources import ArraySource, Source
 from taxeld.stream import pair
 from taxeld.stream.link import Link
 

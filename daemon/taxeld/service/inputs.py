@@ -5,15 +5,14 @@ import contextlib
 import math
 import time
 from collections import deque
+from collections.abc import Mapping
 
 from taxeld.config.tables import SourceConfig
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.poses import FAR_M
 from taxeld.service.prepare import Prepared
-from taxeld.source import buses
 from taxeld.source.recorder import Recorder
-from taxeld.source.source import Source
-from taxeld.source.sources import open_source
+from taxeld.source.sources import Source, open_source, open_sources, polled
 from taxeld.stream.link import Link, PeerLine
 from taxeld_protocol.decoder import Scan
 
@@ -105,9 +104,8 @@ class Inputs:
             SetupError: one of them cannot be used.
         """
 
-        def open_one(config: SourceConfig, layout: Layout, first: int) -> Source:
-            record = recorder.of(first) if recorder else None
-            source = open_source(config, layout, record, wait=True)
+        def open_one(config: SourceConfig, skins: Mapping[int, Layout]) -> Source:
+            source = open_source(config, skins, recorder, wait=True)
             opened.callback(source.close)
             if source.comes_by_door:
                 link.on_array = source.hear
@@ -117,23 +115,23 @@ class Inputs:
         self.watch = PoseWatch(
             made.config.sensor_pose.endpoint, made.config.source.period_ms / 1000.0
         )
-        self.buses = buses.opened(made.config, made.layouts, open_one)
-        self.sources = [bus.source for bus in self.buses]  # the first is the first link's
+        # that of the first link first
+        self.sources = open_sources(made.config, made.layouts, open_one)
         self.come_by_door = any(source.comes_by_door for source in self.sources)
-        for bus in self.buses:
-            wirings = [made.pipeline.stages[k].skin.wiring for k in bus.links]
+        for source in self.sources:
+            wirings = [made.pipeline.stages[k].skin.wiring for k in source.links.numbers]
             for wiring in wirings:
                 wiring.neighbours = {sui for each in wirings for sui in each.suis}
 
     @property
     def waits_for(self) -> str:
         """What each source waits for, with its links where there are several."""
-        if len(self.buses) == 1:
+        if len(self.sources) == 1:
             return self.sources[0].waits_for
         return "; ".join(
-            f"{', '.join(self._names[k] for k in bus.links)}: {bus.source.waits_for}"
-            for bus in self.buses
-            if bus.source.waits_for
+            f"{', '.join(self._names[k] for k in each.links.numbers)}: {each.waits_for}"
+            for each in self.sources
+            if each.waits_for
         )
 
     def gather(self) -> None:
@@ -148,7 +146,7 @@ class Inputs:
 
     def poll(self, now_s: float) -> list[list[Scan]]:
         """The scans of each link that have come; `now_s` is monotonic."""
-        return buses.polled(self.buses, now_s)
+        return polled(self.sources, now_s)
 
     def look(self, link: Link, t: float) -> None:
         """Once a second, at the Unix time t: take what the door says of robot and array."""

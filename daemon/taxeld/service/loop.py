@@ -10,6 +10,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from taxeld.config.tables import Config
@@ -50,7 +51,11 @@ class Daemon:
             # the door's process starts while the slow parts here load
             door = Doorkeeper(settings_of(config))
             self.door = opened.enter_context(contextlib.closing(door))
-            on_poses = [recorder.of(k).pose for k in range(len(config.each))] if recorder else []
+            on_poses = (
+                [partial(recorder.pose, link=k) for k in range(len(config.each))]
+                if recorder
+                else []
+            )
             made = prepared(config, time.time(), time.perf_counter_ns, on_poses)
             self.config, self.layouts, self.pipeline = made.config, made.layouts, made.pipeline
             self.pipeline.thinks_at_once = False
@@ -215,7 +220,7 @@ class Daemon:
             "lat_us": {"total": self.publisher.percentiles()},
             "realtime": asdict(self.realtime),
             "source": {
-                **source.wire.stats(),
+                **source.decoder.stats(),
                 **({"malformed": report.array.malformed} if source.comes_by_door else {}),
                 **asdict(source.counters),
                 "bus": {fault: n for fault, n in source.bus.counts.items() if n},
@@ -232,11 +237,11 @@ class Daemon:
             **counted,
         }
         if len(self.layouts) > 1:
-            whys, of_bus = pipeline.freshness.of_links(now_s), dict[int, dict[str, int]]()
-            for bus in inputs.buses:
-                of_bus |= dict.fromkeys(bus.links, asdict(bus.source.counters))
+            whys, of_source = pipeline.freshness.of_links(now_s), dict[int, dict[str, int]]()
+            for each in inputs.sources:
+                of_source |= dict.fromkeys(each.links.numbers, asdict(each.counters))
             parts["links"] = {
-                name: {"why": int(whys[k]), "source": of_bus[k], **pipeline.stages[k].health()}
+                name: {"why": int(whys[k]), "source": of_source[k], **pipeline.stages[k].health()}
                 for k, name in enumerate(self.config.names)
             }
         return messages.health(self.publisher.seq, t, parts)

@@ -53,7 +53,7 @@ VERSIONS = {
 VERSION_S = 0.02  # time for an answer: a hub may have to ask its modules
 VERSION_CHARACTERS = 32  # of a version, at most
 
-Request = tuple[int, bytes]  # whom it is for, and its bytes; here: a short id, command and payload
+Request = tuple[int, int, bytes]  # short id of the hub that it is for, command, payload
 Asked = tuple[Request, float]  # a request, and the pause after it
 
 
@@ -165,8 +165,8 @@ class BringUp:
         return [request for request, _ in self._sent[begin:]]
 
     @staticmethod
-    def stop() -> list[Request]:
-        return [_request(Command.SET_AUTO_SYNC, on=0)]
+    def stop() -> Request:
+        return _request(Command.SET_AUTO_SYNC, on=0)
 
     def _go_on(self) -> None:
         if self._step in (RoundStep.REST, RoundStep.STREAM):
@@ -274,7 +274,7 @@ class BringUp:
         match self._step:
             case RoundStep.FIND:
                 settle_s = SETTLE_S if self._spared else 0.0
-                return [((LEAVE_BOOTLOADER, b""), LEFT_S), (find, settle_s)]
+                return [((BROADCAST, LEAVE_BOOTLOADER, b""), LEFT_S), (find, settle_s)]
             case RoundStep.ASK | RoundStep.ASK_AGAIN:
                 everyone = self._renamed or not self._spared
                 return [
@@ -354,8 +354,11 @@ class BringUp:
         if fields is None or fields["error"] not in (ErrorCode.BUSY, ErrorCode.PHASE):
             return
         ihb, failed = packet.ihb, fields["failed"]
-        sent = (asked for asked in self._sent if asked[0][0] in (ihb, BROADCAST))
-        again = {((ihb, body), p): None for (_, body), p in sent if body[:1] == bytes((failed,))}
+        again: dict[Asked, None] = {
+            ((ihb, failed, payload), pause_s): None
+            for (to, command, payload), pause_s in self._sent
+            if command == failed and to in (ihb, BROADCAST)
+        }
         # versions are asked once: a hub that cannot tell them yet is started without
         is_new = again.keys() - self._queue and failed not in VERSIONS
         if not is_new or self._now_s > self._step_s + BUSY_MOST_S:
@@ -385,7 +388,7 @@ class BringUp:
 
 
 def _request(command: Command, to: int = BROADCAST, **fields: int) -> Request:
-    return to, bytes((command,)) + commands.request(command, **fields)
+    return to, command, commands.request(command, **fields)
 
 
 def _text(payload: bytes) -> str:

@@ -64,9 +64,7 @@ class CanDevice(BusDevice):
 
     def _receive(self) -> Frame | None:
         try:
-            # `recv` measures its time-out on the wall clock, and waits for an hour where that is
-            # set back by an hour
-            message = self._bus._recv_internal(0.0)[0]
+            message = self._bus.recv(0.0)
         except (can.CanError, OSError, ValueError, IndexError) as error:
             self._look_into(error)
             is_noise = isinstance(error.__cause__ or error, (ValueError, IndexError))

@@ -10,10 +10,8 @@ from dataclasses import dataclass, field
 
 from taxeld.errors import SetupError
 from taxeld.source.bus_faults import BusFault
-from taxeld.source.session import Chunk
 from taxeld_protocol import cyskin
-from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 
 FRAMES_PER_POLL = 1000  # limit on a pass, so that a flooded bus cannot hold the loop
 FOREIGN_CLOCK_S = 86_400.0  # a stamp farther from now is not from this machine's clock
@@ -37,8 +35,6 @@ BUSY = {errno.EAGAIN, errno.EBUSY}
 # faults that waiting does not cure
 FOR_A_PERSON = {errno.EACCES, errno.EPERM, errno.ENOTTY, errno.EISDIR}
 
-Piece = Frame | bytes  # the part of a request that is sent at once: on a bus, on a serial line
-
 
 class LostError(Exception):
     """The device is gone."""
@@ -50,13 +46,6 @@ class AwayError(SetupError):
 
 class BusyError(AwayError):
     """A device that another process has open."""
-
-
-def frames_of(to: int, body: bytes) -> list[Frame]:
-    """A request, as the bring-up makes it, as frames of a bus."""
-    if to == LEAVE_BOOTLOADER:
-        return cyskin.to_frames(to, ihb=BROADCAST)
-    return cyskin.to_frames(body[0], body[1:], ihb=to)
 
 
 def unopened(where: str, error: Exception) -> SetupError:
@@ -87,6 +76,12 @@ def _errno(error: BaseException | None) -> int:
     return 0
 
 
+def request_frame(to: int, command: int, payload: bytes) -> Frame:
+    """A request as a frame of a bus; no request needs more than one."""
+    [frame] = cyskin.to_frames(command, payload, ihb=to, t=time.time())
+    return frame
+
+
 @dataclass(slots=True)
 class Noticed:
     """Faults that a device has noticed since they were last taken."""
@@ -110,24 +105,20 @@ class Device(ABC):
         return -1
 
     @abstractmethod
-    def read(self) -> list[Frame] | list[Chunk]:
+    def read(self) -> Sequence[Frame | Chunk]:
         """The frames of a bus, or the bytes of a line, that have arrived. Raises LostError."""
 
-    def tend(self, now_s: float) -> None:  # noqa: B027  (most have none)
-        """Do work beside requests; `now_s` is monotonic. Raises LostError."""
-
     @abstractmethod
-    def pack(self, to: int, body: bytes) -> Sequence[Piece]:
-        """A request, as the bring-up makes it, in the pieces that this device sends."""
-
-    @abstractmethod
-    def put(self, piece: Piece) -> None:
-        """Send a piece whole, some of it perhaps later.
+    def send(self, to: int, command: int, payload: bytes) -> Frame | None:
+        """Send a request whole, some of it perhaps later; → the frame that goes to a bus.
 
         Raises:
             BlockingIOError: the device takes nothing now.
             LostError: the device is gone.
         """
+
+    def tend(self, now_s: float) -> None:  # noqa: B027  (most have none)
+        """Do work beside requests; `now_s` is monotonic. Raises LostError."""
 
     @abstractmethod
     def close(self, wait_s: float = 0.0) -> None:
@@ -141,7 +132,7 @@ class BusDevice(Device):
         super().__init__()
         self._fault: OSError | None = None  # reported after the frames that came before it
 
-    def read(self) -> list[Frame]:
+    def read(self) -> Sequence[Frame]:
         frames: list[Frame] = []
         now = time.time()
         for _ in range(FRAMES_PER_POLL):
@@ -152,25 +143,20 @@ class BusDevice(Device):
             except OSError as error:
                 self._fault = error
                 break
-            if frame is None:
-                continue
-            if abs(frame.t - now) < FOREIGN_CLOCK_S:
-                frames.append(frame)
-            else:
-                frames.append(frame._replace(t=now))
+            if frame is not None:
+                is_of_now = abs(frame.t - now) < FOREIGN_CLOCK_S
+                frames.append(frame if is_of_now else frame._replace(t=now))
         if self._fault is not None and not frames:
             raise LostError from self._fault
         return frames
 
-    def pack(self, to: int, body: bytes) -> Sequence[Piece]:
-        return frames_of(to, body)
-
-    def put(self, piece: Piece) -> None:
-        assert isinstance(piece, Frame)  # noqa: S101  (as packed)
+    def send(self, to: int, command: int, payload: bytes) -> Frame:
+        frame = request_frame(to, command, payload)
         try:
-            self._send(piece)
+            self._send(frame)
         except OSError as error:  # full or down; reading finds a lost device
             raise BlockingIOError from error
+        return frame
 
     @abstractmethod
     def _receive(self) -> Frame | None:

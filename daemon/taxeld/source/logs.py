@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from taxeld.errors import SetupError, one_line
-from taxeld.source.session import SERIAL_COLUMNS, Chunk
-from taxeld_protocol.frames import Frame, Logged, parse_log_line
+from taxeld_protocol.frames import Chunk, Frame, parse_logged
 
 if TYPE_CHECKING:
     import can
@@ -30,9 +29,14 @@ SHOWN = 60  # characters of a damaged line
 
 # Remote, FD and XL frames. Error frames look like data frames with an id above EXTENDED_MAX.
 _OTHER = re.compile(
-    r"(?:\(\d+\.\d+\)\s+\S+\s+)?[0-9A-F]{3,8}#(?:[R#]|[0-9A-F]{2}:)", re.ASCII | re.IGNORECASE
+    r"(?:\(\d+\.\d+\)\s+(\S+)\s+)?[0-9A-F]{3,8}#(?:[R#]|[0-9A-F]{2}:)", re.ASCII | re.IGNORECASE
 )
-_ROW = re.compile(r"(\d{1,12}(?:\.\d{1,9})?),(\d{1,15})\s*", re.ASCII)
+_ROW = re.compile(r"(\d{1,12}(?:\.\d{1,9})?),(\d{1,15})(?:,(\d))?\s*", re.ASCII)
+_HEADER = re.compile(r"t,offset(?:,link)?\s*")
+
+# An interface, channel or link as the log names it, and what came by it; None for a frame that
+# carries nothing for a skin.
+Logged = tuple[str, Frame | Chunk | None]
 
 
 @dataclass(slots=True)
@@ -48,37 +52,29 @@ class Damage:
         self.count += 1
 
 
-def frames(path: Path, damage: Damage) -> Iterator[Logged]:
-    """The frames of a log in their order, with the interface or channel that the log names.
+def read(path: Path, damage: Damage) -> Iterator[Logged]:
+    """A log in its order. Bytes have time 0 where no file has times.
 
     Raises:
         SetupError: it is unreadable, or python-can cannot read on.
     """
     if _ending(path) in PYTHON_CAN:
-        return _by_python_can(path)
-    return _candump(path, damage)
-
-
-def chunks(path: Path, damage: Damage) -> Iterator[Chunk]:
-    """The bytes as they were read, with their times; time 0 where no file has times.
-
-    Raises:
-        SetupError: the file is unreadable.
-    """
-    t, at = 0.0, 0
+        yield from _by_python_can(path)
+        return
+    read = _chunks if is_serial(path) else _candump
     try:
         with path.open("rb") as file:
-            for t_next, offset in _rows(path.with_suffix(".csv"), damage):
-                for data in _blocks(file, offset - at):
-                    yield Chunk(t, data)
-                t, at = t_next, offset
-            for data in _blocks(file):
-                yield Chunk(t, data)
+            yield from read(file, path, damage)
     except OSError as error:
         raise SetupError(f"{path}: unreadable log ({error.strerror or error})") from None
 
 
-def _lines(file: BufferedIOBase) -> Iterator[tuple[int, str]]:
+def is_serial(path: Path) -> bool:
+    """Whether it has the bytes of a serial line."""
+    return path.suffix.lower() == SERIAL_ENDING
+
+
+def _lines(file: BufferedIOBase | BinaryIO) -> Iterator[tuple[int, str]]:
     """Lines with their numbers from 1 on; only the beginning of a line over LINE_MAX bytes."""
     number = 0
     while line := file.readline(LINE_MAX):
@@ -93,26 +89,31 @@ def _ending(path: Path) -> str:
     return Path(path.stem if path.suffix.lower() == ".gz" else path).suffix.lower()
 
 
-def _candump(path: Path, damage: Damage) -> Iterator[Logged]:
-    try:
-        with path.open("rb") as file:
-            for number, text in _lines(file):
-                frame = parse_log_line(text)
-                if frame is not None and frame.can_id <= (
-                    EXTENDED_MAX if frame.extended else STANDARD_MAX
-                ):
-                    yield _interface(text), frame
-                elif (frame is not None and frame.extended) or _OTHER.match(text):
-                    yield _interface(text), None
-                elif not text.isspace():
-                    damage.at(f"line {number}", text)
-    except OSError as error:
-        raise SetupError(f"{path}: unreadable log ({error.strerror or error})") from None
+def _candump(file: BinaryIO, _: Path, damage: Damage) -> Iterator[Logged]:
+    for number, text in _lines(file):
+        if logged := parse_logged(text):
+            on, frame = logged
+            if frame.can_id <= (EXTENDED_MAX if frame.extended else STANDARD_MAX):
+                yield on, frame
+                continue
+            if frame.extended:
+                yield on, None
+                continue
+        elif other := _OTHER.match(text):
+            yield other[1] or "", None
+            continue
+        if not text.isspace():
+            damage.at(f"line {number}", text)
 
 
-def _interface(text: str) -> str:
-    """The interface of a frame in candump text; empty where it names none."""
-    return text.split(None, 2)[1] if text.lstrip()[0] == "(" else ""
+def _chunks(file: BinaryIO, path: Path, damage: Damage) -> Iterator[Logged]:
+    link, t, at = "", 0.0, 0
+    for link_next, t_next, offset in _rows(path.with_suffix(".csv"), damage):
+        for data in _blocks(file, offset - at):
+            yield link, Chunk(t, data)
+        link, t, at = link_next, t_next, offset
+    for data in _blocks(file):
+        yield link, Chunk(t, data)
 
 
 def _by_python_can(path: Path) -> Iterator[Logged]:
@@ -151,8 +152,8 @@ def _blocks(file: BinaryIO, size: float = math.inf) -> Iterator[bytes]:
         yield data
 
 
-def _rows(path: Path, damage: Damage) -> Iterator[tuple[float, int]]:
-    """Rows of a time and an offset; neither decreases."""
+def _rows(path: Path, damage: Damage) -> Iterator[tuple[str, float, int]]:
+    """Rows of a link, if the file names any, a time and an offset, which does not decrease."""
     if not path.is_file():
         damage.at(path.name, "it is not there, so that the scans have no time")
         return
@@ -162,6 +163,6 @@ def _rows(path: Path, damage: Damage) -> Iterator[tuple[float, int]]:
             row = _ROW.fullmatch(text)
             if row is not None and int(row[2]) >= last:
                 last = int(row[2])
-                yield float(row[1]), last
-            elif text.rstrip() != ",".join(SERIAL_COLUMNS):
+                yield row[3] or "", float(row[1]), last
+            elif not _HEADER.fullmatch(text):
                 damage.at(f"{path.name} line {number}", text)

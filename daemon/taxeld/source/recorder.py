@@ -2,9 +2,9 @@
 
 The files are made when the first record comes, each of them anew: a file or a link of that name is
 never written to. Files are only appended to, whole records at a time; the bytes of a serial line
-come before the rows that date them. However a recording ends, `session.read` finds all but its last
-moment. A disk that is slow or full is waited for, and costs records, which are counted; another
-fault of it ends the recording, never the caller.
+come before the rows that date them. However a recording ends, `session.records` finds all but its
+last moment. A disk that is slow or full is waited for, and costs records, which are counted;
+another fault of it ends the recording, never the caller.
 """
 
 import contextlib
@@ -13,7 +13,8 @@ import logging
 import os
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
@@ -25,17 +26,17 @@ from taxeld.source.session import (
     ARRAY,
     CONFIG,
     FRAMES,
+    LINK,
     POSE_COLUMNS,
     POSES,
     SERIAL,
     SERIAL_COLUMNS,
     SERIAL_TIMES,
     VERSION,
-    Chunk,
-    PoseRow,
+    Item,
 )
 from taxeld_protocol.array import ArrayFrame, line_of
-from taxeld_protocol.frames import Frame, format_log_line
+from taxeld_protocol.frames import Chunk, Frame, format_log_line
 
 PAUSE_S = 0.25  # pause between two writings: short, so that none holds the interpreter for long
 SYNC_S = 5.0  # time that a power cut may cost
@@ -44,14 +45,8 @@ BATCH = 500  # records formatted and written at once
 WAITING_BYTES = 16_000_000  # bytes that may wait for the disk: 10 s of a full bus
 PASSING = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # faults of a disk that may end
 RECORD_BYTES = 200  # memory of a record beside its data, roughly
-HEADERS = {
-    ABOUT: f"version = {VERSION}\n",
-    POSES: ",".join(POSE_COLUMNS) + "\n",
-    SERIAL_TIMES: ",".join(SERIAL_COLUMNS) + "\n",
-}
 PARTS = (SERIAL, SERIAL_TIMES, FRAMES, ARRAY, POSES)
-
-Item = Frame | Chunk | ArrayFrame | PoseRow
+COUNTED = ("frames", "chunks", "bytes", "poses")
 
 log = logging.getLogger(__name__)
 
@@ -67,6 +62,41 @@ class RecordCounters:
     failed: bool = False  # the disk took no more, and the recording has ended
 
 
+def headers(links: int) -> dict[str, str]:
+    """The first line of each file that has one."""
+    more = [LINK] if links > 1 else []
+    return {
+        ABOUT: f"version = {VERSION}\n",
+        POSES: ",".join(POSE_COLUMNS + more) + "\n",
+        SERIAL_TIMES: ",".join(SERIAL_COLUMNS + more) + "\n",
+    }
+
+
+def formatted(
+    records: Iterable[tuple[Item, int]], written: Counter[str], links: int
+) -> dict[str, bytearray]:
+    """What the files get of records, each with the number of its link; `written` counts them."""
+    parts = {name: bytearray() for name in PARTS}
+    for item, link in records:
+        column = f",{link}\n" if links > 1 else "\n"
+        if isinstance(item, Frame):
+            parts[FRAMES] += f"{format_log_line(item, f'can{link}')}\n".encode()
+            written["frames"] += 1
+        elif isinstance(item, ArrayFrame):
+            parts[ARRAY] += f"{line_of(item)}\n".encode()
+            written["frames"] += 1
+        elif isinstance(item, Chunk):
+            parts[SERIAL_TIMES] += f"{item.t:.6f},{written['bytes']}{column}".encode()
+            parts[SERIAL] += item.data
+            written["bytes"] += len(item.data)
+            written["chunks"] += 1
+        else:
+            t, x, y, theta = item
+            parts[POSES] += f"{t:.6f},{x!r},{y!r},{theta!r}{column}".encode()
+            written["poses"] += 1
+    return parts
+
+
 class Recorder:
     """Writes a session directory while it is entered; nothing if no record comes."""
 
@@ -77,6 +107,7 @@ class Recorder:
         moves: bool,
         config: Path | None = None,
         calibration: Path | None = None,
+        links: int = 1,
     ) -> None:
         """`moves`: whether a robot sends the sensor's pose. `config` is kept with the session,
         together with its `calibration` if that lies beside it.
@@ -84,16 +115,16 @@ class Recorder:
         Raises:
             SetupError: the directory cannot be written to, or has a file of a session already.
         """
-        self._directory = directory
-        self._moves = moves
-        self.beside: list[Recorder] = []  # of further links
-        self._beside = _beside(config, calibration)
-        _check_free(directory, [ABOUT, *PARTS, *self._beside])
-        self._waiting: deque[Item] = deque()
+        self._directory, self._moves, self._links = directory, moves, links
+        self._headers = headers(links)
+        self._kept = _kept(config, calibration)
+        _check_free(directory, [ABOUT, *PARTS, *self._kept])
+        self._waiting: deque[tuple[Item, int]] = deque()
         self._came = self._refused = 0  # records taken so far, and records refused
         self._came_bytes = self._taken_bytes = 0  # bytes put by the caller, and taken
-        self._written = {"frames": 0, "chunks": 0, "bytes": 0, "poses": 0}
-        self._failed = False
+        self._written = Counter[str]()
+        self._failed = self._is_full = False
+        self._open: dict[str, FileIO] = {}  # made anew as they are first appended to
         self._closing = threading.Event()
         # a hanging disk must not keep the process from ending
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
@@ -101,37 +132,28 @@ class Recorder:
     @property
     def counters(self) -> RecordCounters:
         """The counts as far as written."""
-        frames, chunks, size, poses = self._written.values()
+        frames, chunks, size, poses = (self._written[name] for name in COUNTED)
         unwritten = self._came - frames - chunks - poses if self._failed else 0
         return RecordCounters(frames, size, poses, self._refused + unwritten, self._failed)
 
-    def of(self, link: int) -> "Recorder":
-        """The recorder of the link of this number."""
-        return self.beside[link - 1] if link else self
-
-    def pose(self, t: float, x: float, y: float, theta: float) -> None:
-        """Record a sensor pose in the world."""
-        self.take((t, x, y, theta))
-
-    def take(self, item: Item) -> None:
-        """Record a CAN frame of either direction, bytes of a serial line, an array's frame, or a
-        sensor pose."""
+    def take(self, item: Item, link: int = 0) -> None:
+        """Record a CAN frame of either direction, bytes of a serial line or an array's frame, with
+        the first link of its source; or the pose in the world of a link's sensor."""
         if self._failed or self._came_bytes - self._taken_bytes > WAITING_BYTES:
             self._refused += 1
             return
         self._came += 1
         self._came_bytes += _size(item)
-        self._waiting.append(item)
+        self._waiting.append((item, link))
+
+    def pose(self, t: float, x: float, y: float, theta: float, link: int = 0) -> None:
+        self.take((t, x, y, theta), link)
 
     def __enter__(self) -> Self:
         self._thread.start()
-        for recorder in self.beside:
-            recorder.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        for recorder in self.beside:
-            recorder.__exit__()
         self._closing.set()
         self._thread.join(CLOSE_S)
         if self._thread.is_alive():
@@ -144,84 +166,55 @@ class Recorder:
         )
 
     def _run(self) -> None:
-        with contextlib.closing(_Files(self._directory, self._closing)) as files:
-            try:
-                self._write_all(files)
-            except OSError as error:
-                self._fail(error.strerror or str(error))
-                self._waiting.clear()
+        try:
+            self._write_all()
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+            self._waiting.clear()
+        for file in self._open.values():
+            with contextlib.suppress(OSError):
+                file.close()
 
-    def _write_all(self, files: "_Files") -> None:
+    def _write_all(self) -> None:
         """Write records until the caller leaves. Raises OSError."""
         next_sync_s = time.monotonic()
-        closing = has_begun = False
+        closing = False
         while not closing:
             closing = self._closing.wait(PAUSE_S)
-            if self._waiting and not has_begun:
-                self._begin(files)
-                has_begun = True
+            if self._waiting and not self._open:
+                begin = {ABOUT: b"", **self._kept, **({POSES: b""} if self._moves else {})}
+                for name, content in begin.items():
+                    self._append(name, content)
             for _ in range(0, len(self._waiting), BATCH):
                 batch = [self._waiting.popleft() for _ in range(min(BATCH, len(self._waiting)))]
-                self._write(files, batch)
-                self._taken_bytes += sum(map(_size, batch))
+                self._write(batch)
+                self._taken_bytes += sum(_size(item) for item, _ in batch)
             if closing or time.monotonic() >= next_sync_s:
-                files.sync()
+                self._sync()
                 next_sync_s = time.monotonic() + SYNC_S
-        if has_begun:
-            totals = {"dropped": self._refused, **self._written}
+        if self._open:
+            totals = {"dropped": self._refused, **{name: self._written[name] for name in COUNTED}}
             text = "".join(f"{name} = {count}\n" for name, count in totals.items())
-            files.append(ABOUT, text.encode())
-            files.sync()
+            self._append(ABOUT, text.encode())
+            self._sync()
 
-    def _begin(self, files: "_Files") -> None:
-        files.append(ABOUT, b"")
-        for name, content in self._beside.items():
-            files.append(name, content)
-        if self._moves:
-            files.append(POSES, b"")
-
-    def _write(self, files: "_Files", items: list[Item]) -> None:
-        parts = {name: bytearray() for name in PARTS}
+    def _write(self, batch: list[tuple[Item, int]]) -> None:
         written = self._written.copy()
-        for item in items:
-            if isinstance(item, Frame):
-                parts[FRAMES] += format_log_line(item).encode() + b"\n"
-                written["frames"] += 1
-            elif isinstance(item, ArrayFrame):
-                parts[ARRAY] += line_of(item).encode() + b"\n"
-                written["frames"] += 1
-            elif isinstance(item, Chunk):
-                parts[SERIAL_TIMES] += b"%.6f,%d\n" % (item.t, written["bytes"])
-                parts[SERIAL] += item.data
-                written["bytes"] += len(item.data)
-                written["chunks"] += 1
-            else:
-                t, x, y, theta = item
-                parts[POSES] += f"{t:.6f},{x!r},{y!r},{theta!r}\n".encode()
-                written["poses"] += 1
+        parts = formatted(batch, written, self._links)
         if parts[SERIAL]:
-            files.append(SERIAL_TIMES, b"")  # each line needs a file that dates it
+            self._append(SERIAL_TIMES, b"")  # each line needs a file that dates it
         for name, data in parts.items():
             if data:
-                files.append(name, data)
+                self._append(name, data)
         self._written = written
 
-
-class _Files:
-    """The files of a session, made anew in the directory as they are first appended to."""
-
-    def __init__(self, directory: Path, closing: threading.Event) -> None:
-        self._directory, self._closing = directory, closing
-        self._open: dict[str, FileIO] = {}
-        self._is_full = False
-
-    def append(self, name: str, data: bytes | bytearray) -> None:
+    def _append(self, name: str, data: bytes | bytearray) -> None:
         """Append all of the data, after the header in a new file. Raises OSError."""
         if name not in self._open:
             self._directory.mkdir(parents=True, exist_ok=True)
             # "x" opens with O_EXCL, which follows no link
             self._open[name] = FileIO(self._directory / name, "x")
-            data = HEADERS.get(name, "").encode() + data
+            data = self._headers.get(name, "").encode() + data
         rest = memoryview(data)
         while rest:  # a nearly full disk takes a part, and then refuses the rest
             try:
@@ -243,18 +236,13 @@ class _Files:
         if self._closing.wait(PAUSE_S):
             raise error
 
-    def sync(self) -> None:
+    def _sync(self) -> None:
         """Flush the files to the disk. Raises OSError."""
         for file in self._open.values():
             try:
                 os.fsync(file.fileno())
             except OSError as error:
                 self._wait(error)
-
-    def close(self) -> None:
-        for file in self._open.values():
-            with contextlib.suppress(OSError):
-                file.close()
 
 
 def _size(item: Item) -> int:
@@ -263,7 +251,7 @@ def _size(item: Item) -> int:
     return RECORD_BYTES + (len(item.data) if isinstance(item, Frame | Chunk) else 0)
 
 
-def _beside(config: Path | None, calibration: Path | None) -> dict[str, bytes]:
+def _kept(config: Path | None, calibration: Path | None) -> dict[str, bytes]:
     """Files kept with a session: the configuration, and a calibration beside it. Raises
     SetupError."""
     try:

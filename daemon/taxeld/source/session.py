@@ -1,21 +1,25 @@
 """A recorded session: a directory with the data that the skin and the robot sent.
 
-`frames.log` (candump -L text), or `serial.bin` with `serial.csv` (t, offset: the bytes from
-`offset` to the next row's were read at t), or `array.jsonl` (a message of an array in each line);
-`sensor_pose.csv`; `config.toml`; and, from the harness,
+`frames.log` (candump -L text), `serial.bin` with `serial.csv` (t, offset: the bytes from `offset`
+to the next row's were read at t), and `array.jsonl` (a message of an array in each line), each
+where a source of its kind was; `sensor_pose.csv`; `config.toml`; and, from the harness,
 `truth.csv`. `session.toml` has the version of the format and, once the recording has ended, the
 counts of its records; a session without it is of version 1.
+
+With several links both tables have a column `link`, and the interface of a frame is can0, can1 …:
+the number of the link, and of a source the number of the first link on it.
 
 A recording may end anywhere: an incomplete last record is left out. Any other damage is an error.
 """
 
+import heapq
 import logging
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -27,46 +31,34 @@ from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld_protocol import array
 from taxeld_protocol.array import ArrayFrame
-from taxeld_protocol.frames import Frame, parse_log_line
+from taxeld_protocol.frames import Chunk, Frame, parse_logged
 
 FRAMES, POSES, TRUTH, CONFIG = "frames.log", "sensor_pose.csv", "truth.csv", "config.toml"
 SERIAL, SERIAL_TIMES, ABOUT = "serial.bin", "serial.csv", "session.toml"
 ARRAY = "array.jsonl"
-POSE_COLUMNS, SERIAL_COLUMNS = ["t", "x", "y", "theta"], ["t", "offset"]
-VERSION = 1
+POSE_COLUMNS, SERIAL_COLUMNS, LINK = ["t", "x", "y", "theta"], ["t", "offset"], "link"
+VERSION = 2  # version 1 had a folder for each further link
 COUNT_MAX = 1 << 63
 LINE_MAX = 4096  # bytes; the longest line that a recorder writes has about a hundred
 ARRAY_LINE_MAX = 262_144  # bytes of a line of `array.jsonl`, as of a message
 ABOUT_LINES = 100  # lines of `session.toml`, which has six
-SERIAL_MAX = 1 << 30  # bytes of a serial line, all held at once: hours of a full line
+BLOCK = 1 << 16  # bytes of a serial line that are held at once
+BACK_S = 0.25  # where times fall by as much, the recorder's clock was set back
+INTERFACE = re.compile(r"can(\d)", re.ASCII)
 
 PoseRow = tuple[float, float, float, float]  # t, x, y, θ
+Item = Frame | Chunk | ArrayFrame | PoseRow
 
 log = logging.getLogger(__name__)
 
 
-class Chunk(NamedTuple):
-    """Bytes of a serial line that were read together."""
+class Record(NamedTuple):
+    """What came."""
 
+    steps: int  # number of times that the recorder's clock had been set back
     t: float
-    data: bytes
-
-
-Items = list[Frame] | list[Chunk] | list[ArrayFrame]
-
-
-def joined(items: Items) -> Items:
-    """Bytes that were read one after the other as one chunk with the time of its beginning."""
-    chunks = [item for item in items if isinstance(item, Chunk)]
-    return [Chunk(chunks[0].t, b"".join(c.data for c in chunks))] if len(chunks) > 1 else items
-
-
-@dataclass(frozen=True, slots=True)
-class Session:
-    """The whole records of a session, in the order of arrival."""
-
-    items: Items
-    poses: list[PoseRow]
+    link: int  # of a pose; of other items: the first link of their source
+    item: Item
 
 
 def config_of(directory: Path, given: Path | None = None) -> Config:
@@ -88,52 +80,26 @@ def has_poses(directory: Path) -> bool:
     return (directory / POSES).exists()
 
 
-def begun(directory: Path) -> float:
-    """Unix time at which a session began [s]; nan for an empty session. Raises SetupError."""
-    if (directory / SERIAL).exists() and not (directory / FRAMES).exists():
-        rows = _table(_Lines(directory / SERIAL_TIMES), SERIAL_COLUMNS)
-        return rows[0][0] if rows else math.nan
-    if (directory / ARRAY).exists():
-        arrays = _arrays(_Lines(directory / ARRAY, ARRAY_LINE_MAX))
-        return next((frame.t for frame in arrays), math.nan)
-    frames = (parse_log_line(text) for text in _Lines(directory / FRAMES))
-    return next((frame.t for frame in frames if frame is not None), math.nan)
-
-
-def read(directory: Path) -> Session:
-    """A session, up to its last whole record; a cut session is logged.
+def records(directory: Path) -> Iterator[Record]:
+    """A session in the order of arrival, up to its last whole record, which is never held whole. At
+    its end, the log has one line on what is missing of a cut session.
 
     Raises:
-        SetupError: there is none, it is of a newer version, or damaged, with the line.
+        SetupError: there is none, it is of another version, or damaged, with the line.
     """
-    about = _about(directory)
-    items: Items
-    if (directory / SERIAL).exists() and not (directory / FRAMES).exists():
-        items, cut = _chunks(directory, about)
-        held = f"{sum(len(chunk.data) for chunk in items)} bytes"
-    elif (directory / ARRAY).exists() and not (directory / FRAMES).exists():
-        written = _Lines(directory / ARRAY, ARRAY_LINE_MAX)
-        items = list(_arrays(written))
-        cut = written.cut or (about is not None and about.get("frames") != len(items))
-        held = f"{len(items)} arrays"
-    else:
-        items, cut = _frames(directory / FRAMES, about)
-        held = f"{len(items)} frames"
-    poses: list[PoseRow] = []
-    if has_poses(directory):
-        lines = _Lines(directory / POSES)
-        poses = _poses(lines)
-        cut |= lines.cut
-    if cut or (about is not None and about.get("poses") != len(poses)):
-        log.warning(
-            "%s: the recording was cut; %s and %d sensor poses are whole, and used",
-            directory,
-            held,
-            len(poses),
-        )
-    elif not items:
-        raise SetupError(f"{directory}: holds no frames, the log is empty; record it again")
-    return Session(items, poses)
+    reading = _Reading(directory)
+    yield from reading.merged()
+    reading.end()
+
+
+def items(directory: Path) -> Iterator[Record]:
+    """As `records`, without poses and without a line on what is missing."""
+    return _Reading(directory).merged(poses=False)
+
+
+def begun(directory: Path) -> float:
+    """Unix time at which a session began [s]; nan for an empty session. Raises SetupError."""
+    return next((record.t for record in items(directory)), math.nan)
 
 
 def read_poses(path: Path) -> list[PoseRow]:
@@ -142,7 +108,7 @@ def read_poses(path: Path) -> list[PoseRow]:
     Raises:
         SetupError: the file is unreadable or damaged, with the line.
     """
-    return _poses(_Lines(path))
+    return [(row[0], row[1], row[2], row[3]) for _, row in _table(_Lines(path), POSE_COLUMNS)]
 
 
 def truth(directory: Path) -> Poses | None:
@@ -154,6 +120,116 @@ def truth(directory: Path) -> Poses | None:
     path = directory / TRUTH
     rows = read_poses(path) if path.exists() else None
     return np.array(rows[-1][1:]) if rows else None
+
+
+class _Reading:
+    """One reading of a session's files, which counts what it reads."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory, self._about = directory, _about(directory)
+        self._counts = dict.fromkeys(("frames", "chunks", "bytes", "poses"), 0)
+        self._files: list[_Lines] = []
+        self._lacks_bytes = False
+
+    def merged(self, *, poses: bool = True) -> Iterator[Record]:
+        """The records of all files."""
+        found: dict[str, Callable[[], Iterator[tuple[int, Item]]]]
+        found = {SERIAL: self._chunks, FRAMES: self._frames, ARRAY: self._arrays}
+        if poses:  # the first of those of the same time
+            found = {POSES: self._poses, **found}
+        there = [read for name, read in found.items() if (self._directory / name).exists()]
+        streams = [_dated(read()) for read in there]
+        return heapq.merge(*streams, key=lambda record: record[:2])
+
+    def end(self) -> None:
+        """All is read: log what is missing. Raises SetupError where nothing was recorded."""
+        counts, about = self._counts, self._about
+        is_cut = self._lacks_bytes or any(lines.cut for lines in self._files)
+        if is_cut or (about is not None and about != counts):
+            named = {"frames": "frames", "bytes": "bytes", "poses": "sensor poses"}
+            told = [
+                f"{counts[key]}{f' of {about[key]}' if about and key in about else ''} {name}"
+                for key, name in named.items()
+                if counts[key] or (about and about.get(key))
+            ]
+            whole = ", ".join(told) or "nothing"
+            log.warning("%s: the recording was cut; used are %s", self._directory, whole)
+        elif not (counts["frames"] or counts["bytes"]):
+            raise SetupError(f"{self._directory}: holds no frames, it is empty; record it again")
+
+    def _lines(self, name: str, longest: int = LINE_MAX) -> "_Lines":
+        self._files.append(_Lines(self._directory / name, longest))
+        return self._files[-1]
+
+    def _frames(self) -> Iterator[tuple[int, Frame]]:
+        lines = self._lines(FRAMES)
+        for number, text in enumerate(lines, 1):
+            if logged := parse_logged(text):
+                self._counts["frames"] += 1
+                on = INTERFACE.fullmatch(logged[0])
+                yield int(on[1]) if on else 0, logged[1]
+            elif text.strip():
+                where = f"{lines.path}: line {number}"
+                raise SetupError(f"{where} is no candump line; the log is damaged")
+
+    def _arrays(self) -> Iterator[tuple[int, ArrayFrame]]:
+        lines = self._lines(ARRAY, ARRAY_LINE_MAX)
+        for number, text in enumerate(lines, 1):
+            frame = array.parse(array.read_json(text))
+            if isinstance(frame, str):
+                raise SetupError(f"{lines.path}: line {number} is no array ({frame})")
+            self._counts["frames"] += 1
+            yield 0, frame  # one array is heard at most
+
+    def _poses(self) -> Iterator[tuple[int, PoseRow]]:
+        for link, (t, x, y, theta) in _table(self._lines(POSES), POSE_COLUMNS):
+            self._counts["poses"] += 1
+            yield link, (t, x, y, theta)
+
+    def _chunks(self) -> Iterator[tuple[int, Chunk]]:
+        """A recorder writes bytes before the rows that date them, but a power cut may keep either.
+        Rows without bytes are left out, and so are the bytes of a last row whose end is not known:
+        no other row gives it."""
+        lines, path = self._lines(SERIAL_TIMES), self._directory / SERIAL
+        link, t, at = 0, 0.0, 0
+        try:
+            with files.opened(path) as file:
+                for link_next, (t_next, offset) in _table(lines, SERIAL_COLUMNS):
+                    if offset < at or (not self._counts["chunks"] and offset):
+                        raise SetupError(f"{lines.path}: its offsets do not begin at 0, or fall")
+                    for data in self._bytes(file, int(offset) - at):
+                        yield link, Chunk(t, data)
+                    self._counts["chunks"] += 1
+                    link, t, at = link_next, t_next, int(offset)
+                about, rows = self._about, self._counts["chunks"]
+                if rows and about is None and not lines.cut:
+                    for data in iter(lambda: file.read(BLOCK), b""):
+                        self._counts["bytes"] += len(data)
+                        yield link, Chunk(t, data)
+                elif rows and about is not None and about.get("chunks") == rows:
+                    for data in self._bytes(file, about.get("bytes", 0) - at):
+                        yield link, Chunk(t, data)
+        except OSError as error:
+            raise SetupError(f"{path}: unreadable ({error.strerror})") from None
+
+    def _bytes(self, file: BinaryIO, size: int) -> Iterator[bytes]:
+        """The next so many bytes of the file, or as many as there are."""
+        while size > 0 and (data := file.read(min(size, BLOCK))):
+            size -= len(data)
+            self._counts["bytes"] += len(data)
+            yield data
+        self._lacks_bytes |= size > 0
+
+
+def _dated(items: Iterable[tuple[int, Item]]) -> Iterator[Record]:
+    """Records of one file. Only a step back of the clock shows in it: a step forward looks like a
+    pause."""
+    steps, before = 0, -math.inf
+    for link, item in items:
+        t = item[0]
+        steps += before - t >= BACK_S
+        before = t
+        yield Record(steps, t, link, item)
 
 
 class _Lines:
@@ -191,78 +267,31 @@ def _about(directory: Path) -> dict[str, Any] | None:
         raise SetupError(f"{path}: damaged ({error})") from None
     if not all(type(count) is int and 0 <= count < COUNT_MAX for count in found.values()):
         raise SetupError(f"{path}: damaged (it counts what is no number)")
-    version = found.pop("version", VERSION)
-    if version != VERSION:
+    version = found.pop("version", 1)
+    if not 1 <= version <= VERSION:
         raise SetupError(
             f"{path}: is of version {version}, where this taxeld reads {VERSION}; use a newer one"
         )
+    found.pop("dropped", None)
     return found
 
 
-def _frames(path: Path, about: dict[str, Any] | None) -> tuple[list[Frame], bool]:
-    """The frames of a log, and whether it was cut."""
-    lines, frames = _Lines(path), []
-    for number, text in enumerate(lines, 1):
-        frame = parse_log_line(text)
-        if frame is not None:
-            frames.append(frame)
-        elif text.strip():
-            raise SetupError(f"{path}: line {number} is no candump line; the log is damaged")
-    return frames, lines.cut or (about is not None and about.get("frames") != len(frames))
-
-
-def _arrays(lines: _Lines) -> Iterator[ArrayFrame]:
-    for number, text in enumerate(lines, 1):
-        frame = array.parse(array.read_json(text))
-        if isinstance(frame, str):
-            raise SetupError(f"{lines.path}: line {number} is no array ({frame})")
-        yield frame
-
-
-def _chunks(directory: Path, about: dict[str, Any] | None) -> tuple[list[Chunk], bool]:
-    """The bytes of a line as they came, and whether they were cut.
-
-    A recorder writes bytes before the rows that date them, but a power cut may keep either. Rows
-    without bytes are left out, and so are the bytes of a last row whose end no other row gives.
-    """
-    path, lines = directory / SERIAL, _Lines(directory / SERIAL_TIMES)
-    rows = _table(lines, SERIAL_COLUMNS)
-    offsets = [int(offset) for _, offset in rows]
-    if offsets and (offsets[0] != 0 or offsets != sorted(offsets)):
-        raise SetupError(f"{lines.path}: its offsets do not begin at 0, or fall")
-    try:
-        data = files.read(path, SERIAL_MAX)
-    except OSError as error:
-        raise SetupError(f"{path}: unreadable ({error.strerror}); record it in parts") from None
-    every_row = not lines.cut if about is None else about.get("chunks") == len(rows)
-    if every_row:
-        offsets.append(len(data) if about is None else about.get("bytes", 0))
-    chunks = [
-        Chunk(row[0], data[start:end])
-        for row, start, end in zip(rows, offsets, offsets[1:], strict=False)
-        if start < len(data)
-    ]
-    return chunks, not every_row or offsets[-1] > len(data)
-
-
-def _poses(lines: _Lines) -> list[PoseRow]:
-    return [(row[0], row[1], row[2], row[3]) for row in _table(lines, POSE_COLUMNS)]
-
-
-def _table(lines: _Lines, columns: list[str]) -> list[list[float]]:
-    """The rows of a CSV file of finite numbers under the header `columns`."""
-    table = []
+def _table(lines: _Lines, columns: list[str]) -> Iterator[tuple[int, list[float]]]:
+    """The rows of a CSV file of finite numbers under the header `columns`, and the link of each:
+    its last column, where the header has one; else 0."""
+    headers = {len(columns): columns, len(columns) + 1: [*columns, LINK]}
+    header: list[str] = []
     for number, text in enumerate(lines, 1):
         row = text.split(",")
         if number == 1:
-            if row != columns:
+            header = headers.get(len(row), columns)
+            if row != header:
                 raise SetupError(f"{lines.path}: must begin with the line {','.join(columns)}")
             continue
         try:
             values = [float(value) for value in row]
         except ValueError:
             values = []
-        if len(values) != len(columns) or not all(map(math.isfinite, values)):
-            raise SetupError(f"{lines.path}: line {number} is not {','.join(columns)}")
-        table.append(values)
-    return table
+        if len(values) != len(header) or not all(map(math.isfinite, values)):
+            raise SetupError(f"{lines.path}: line {number} is not {','.join(header)}")
+        yield (int(values.pop()) if len(header) > len(columns) else 0), values

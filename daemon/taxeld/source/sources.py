@@ -1,4 +1,5 @@
-"""Sources of scans: a CAN interface, a serial line, or an array.
+"""Sources of scans: a CAN interface, a serial line, or an array, and the links whose taxels they
+read.
 
 A source is polled at every pass of the loop and never blocks. A device that is gone, or not there
 yet, is opened again with growing pauses, and the skin on it is brought up anew; damaged input is
@@ -6,53 +7,176 @@ counted.
 """
 
 import contextlib
+import difflib
 import logging
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
 
-from taxeld.config.tables import SourceConfig
+from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.source import module_order
-from taxeld.source.array_source import ArraySource
-from taxeld.source.bring_up import BringUp
+from taxeld.source import modules
+from taxeld.source.bring_up import BringUp, Request
+from taxeld.source.bus_faults import BusHealth
 from taxeld.source.device import AwayError, Device, LostError, Noticed
-from taxeld.source.devices import open_device
-from taxeld.source.module_order import Listening
-from taxeld.source.outbox import PATIENCE_S, Outbox
+from taxeld.source.lines import SerialDevice, SlcanDevice
+from taxeld.source.links import LinkTable, check_uids, joint
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk, Items, joined
-from taxeld.source.source import Source
-from taxeld.source.wire import Wire
+from taxeld.source.session import Item
+from taxeld.source.socketcan import SocketCanDevice
 from taxeld_protocol import cyskin
+from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Decoder, Scan
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import NAMES, wired
 
 REOPEN_S = (0.2, 1.0)  # first and longest pause before a lost device is opened again
 CLOSE_S = 0.2  # time for the last requests to leave the device
+PATIENCE_S = 0.5  # requests that wait longer are dropped: the bring-up asks again
+STOPPED_S = 0.25  # time without a poll after which the loop had been stopped,
+STOPPED_PERIODS = 2  # or these scan periods, if they are longer
 FRAME_BITS = 116  # a frame with 8 bytes and a short id, with the stuff bits of usual readings
+INTERFACE_MAX = 15  # characters of an interface's name (IFNAMSIZ)
+HELD_MAX = 256  # arrays between two polls; beyond, the oldest are lost
+SILENT_S = 1.0  # without a good array for so long, a line says why
+LINES_MAX = 20  # different lines on arrays that are logged, each once: others would be hidden
 
 log = logging.getLogger(__name__)
 
 
+@dataclass(slots=True)
+class SourceCounters:
+    """Counters of a source, since start."""
+
+    lost: int = 0  # times the device was lost
+    reopened: int = 0
+    unopened: int = 0  # attempts to open it that failed
+    unsent: int = 0  # requests that the device did not take in time
+    late: int = 0  # scans that waited on a line while the loop was stopped: their times are unknown
+
+
+class Source:
+    """A source of scans, which is polled at every pass."""
+
+    device: Device | None = None  # the open device; the loop waits on its descriptor
+    comes_by_door = False  # whether its frames come by the door, which gives them to `hear`
+    is_busy = False  # whether it must be polled at every tick, as no descriptor would wake the loop
+    waits_for = ""  # a line on why no scans come; empty where nothing is amiss
+    fault = ""  # a line on why no scan can ever be used; empty where nothing is amiss
+    firmware: Mapping[str, str] = MappingProxyType({})  # short id of a hub → its versions, in words
+
+    def __init__(
+        self,
+        decoder: Decoder | ArrayDecoder,
+        skins: Mapping[int, Layout],
+        recorder: Recorder | None,
+    ) -> None:
+        self.decoder = decoder
+        self.links = LinkTable(skins)
+        self.counters = SourceCounters()
+        self.bus = BusHealth()  # of a CAN bus
+        self._recorder = recorder
+
+    def _record(self, items: Iterable[Item]) -> None:
+        if self._recorder is not None:
+            for item in items:
+                self._recorder.take(item, self.links.numbers[0])
+
+    def gather(self) -> int:
+        """Read the device and keep the items for the next `poll`; → the number of frames, or of
+        bytes of a line, now kept."""
+        return 0
+
+    def poll(self, now_s: float) -> list[Scan]:
+        """Scans that have arrived; `now_s` is monotonic."""
+        raise NotImplementedError
+
+    def hear(self, frame: ArrayFrame) -> None:
+        """A frame of an array has come by the door."""
+
+    def heed(self, *, connected: bool, malformed: int, reason: str) -> None:
+        """The door's report on an array: whether somebody sends it, the number of messages that
+        were no arrays, and why the last of them was not."""
+
+    def close(self) -> None:
+        """Stop the skin and close the device, if there is one."""
+
+
+Open = Callable[[SourceConfig, Mapping[int, Layout]], Source]
+
+
+def open_sources(config: Config, layouts: Sequence[Layout], open_one: Open) -> list[Source]:
+    """All sources, that of the first link first; `layouts` of each link. `open_one` is given a
+    source, and the layouts on it by the numbers of their links.
+
+    Raises:
+        SetupError: two layouts of one source have the same taxels, or `open_one` raises it.
+    """
+    found = list[Source]()
+    for source, numbers in config.buses:
+        check_uids([config.names[k] for k in numbers], [layouts[k] for k in numbers])
+        found.append(open_one(source, {k: layouts[k] for k in numbers}))
+    return found
+
+
+def polled(sources: Sequence[Source], now_s: float) -> list[list[Scan]]:
+    """The scans of each link that have come by the monotonic time `now_s`."""
+    came: list[list[Scan]] = [[] for source in sources for _ in source.links.numbers]
+    for source in sources:
+        source.links.sort(source.poll(now_s), came)
+    return came
+
+
 def open_source(
     config: SourceConfig,
-    layout: Layout,
+    skins: Layout | Mapping[int, Layout],
     recorder: Recorder | None = None,
     *,
     wait: bool = False,
 ) -> Source:
-    """The configured source. `recorder` gets all frames or bytes of the wire. With `wait`, a
-    missing or busy device is opened as soon as possible, instead of raising.
+    """The configured source of one skin, or of those of several links by their numbers. `recorder`
+    gets all frames or bytes of the wire. With `wait`, a missing or busy device is opened as soon as
+    possible, instead of raising.
 
     Raises:
         SetupError: the device cannot be opened.
     """
+    on_it = {0: skins} if isinstance(skins, Layout) else skins
     if config.kind == "array":
-        return ArraySource(config, layout, recorder)
-    return LiveSource(config, layout, open_device, recorder, wait=wait)
+        return ArraySource(config, on_it, recorder)
+    return LiveSource(config, on_it, open_device, recorder, wait=wait)
+
+
+def open_device(config: SourceConfig) -> Device:
+    """The configured device, opened.
+
+    Raises:
+        AwayError: it is missing or busy.
+        SetupError: it can never be opened with this configuration.
+    """
+    if config.kind == "serial":
+        return SerialDevice(config)
+    if config.interface == "slcan":
+        return SlcanDevice(config)
+    if config.interface == "socketcan":
+        if "/" in config.channel or len(config.channel) > INTERFACE_MAX:
+            raise SetupError(
+                f"source.channel: {config.channel} is no name of a CAN interface, as can0 is; for "
+                'an SLCAN adapter set source.interface = "slcan"'
+            )
+        return SocketCanDevice(config)
+    # python-can takes a tenth of the start's time and memory, so it is imported only if needed
+    from taxeld.source.can_device import INTERFACES, CanDevice  # noqa: PLC0415
+
+    if config.interface not in INTERFACES:
+        near = difflib.get_close_matches(config.interface.lower(), INTERFACES, 1)
+        hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(INTERFACES)}"
+        raise SetupError(f"source.interface: python-can knows no '{config.interface}'; {hint}")
+    return CanDevice(config)
 
 
 def live(config: SourceConfig, layout: Layout) -> tuple[Decoder, BringUp | None]:
@@ -77,7 +201,7 @@ def live(config: SourceConfig, layout: Layout) -> tuple[Decoder, BringUp | None]
         )
     period_s = config.period_ms / 1000.0
     if config.listen_only:
-        return Decoder(module_order.given(config, layout).of, period_s), None
+        return Decoder(modules.given(config, layout).of, period_s), None
     # a bring-up asks the hubs for their modules, so the decoder must not guess them
     decoder = Decoder(period_s=period_s)
     return decoder, BringUp(decoder, config.period_ms, {int(uid) >> 4 for uid in layout.uid})
@@ -98,27 +222,32 @@ def _frames(layout: Layout) -> int:
 class LiveSource(Source):
     """A device that may go and come back, and the bring-up of the skin behind it."""
 
+    decoder: Decoder
+
     def __init__(
         self,
         config: SourceConfig,
-        layout: Layout,
+        skins: Mapping[int, Layout],
         device: Callable[[SourceConfig], Device],
-        recorder: Recorder | None,
+        recorder: Recorder | None = None,
         *,
         wait: bool = False,
     ) -> None:
-        self._decoder, self._bring_up = live(config, layout)
-        super().__init__(Wire(self._decoder))
+        decoder, self._bring_up = live(config, joint(list(skins.values())))
+        super().__init__(decoder, skins, recorder)
         self._open: Callable[[], Device] = lambda: device(config)
-        self._recorder = recorder
-        self._listening = Listening(self._decoder)
-        self._outbox: Outbox | None = None
-        self._held: Items = []  # items read from the device and not decoded yet
+        self._listening = modules.Listening(decoder)
+        # requests that the device has not taken yet, and when each is given up
+        self._requests = deque[tuple[float, Request]]()
+        self._held: list[Frame | Chunk] = []  # items read from the device and not decoded yet
         self._failed: LostError | None = None  # loss of the device, after the held items
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._amiss: dict[str, str] = {}  # a line on each subject that was amiss
         self._due_s, self._behind_s = 0.0, 0.0  # the bring-up's time, and how far it is behind
-        self._sent_s = 0.0  # time when all requests had left
+        self._sent_s = 0.0  # time when all requests had left; -inf while none leaves
+        stopped_s = max(STOPPED_S, STOPPED_PERIODS * config.period_ms / 1000.0)
+        self._stopped_s = stopped_s if config.is_unstamped else math.inf
+        self._polled_s = math.inf  # time of the last poll of this device
         try:
             self._take(self._open())
         except SetupError as error:
@@ -128,7 +257,7 @@ class LiveSource(Source):
 
     @property
     def is_busy(self) -> bool:  # type: ignore[override]
-        return bool(self._outbox) or (self.device is not None and self.device.fileno() < 0)
+        return bool(self._requests) or (self.device is not None and self.device.fileno() < 0)
 
     @property
     def firmware(self) -> Mapping[str, str]:  # type: ignore[override]
@@ -137,7 +266,7 @@ class LiveSource(Source):
     def gather(self) -> int:
         if self.device is not None and self._failed is None:
             try:
-                self._held = [*self._held, *self.device.read()]
+                self._held += self.device.read()
             except LostError as error:
                 self._failed = error
         return sum(len(item.data) if isinstance(item, Chunk) else 1 for item in self._held)
@@ -145,110 +274,130 @@ class LiveSource(Source):
     def poll(self, now_s: float) -> list[Scan]:
         if self.device is None:
             self._reopen(now_s)
-        if self.device is None or self._outbox is None:
+        if self.device is None:
             return []
         try:
-            return self._exchange(self.device, self._outbox, now_s)
+            return self._exchange(self.device, now_s)
         except LostError as error:
             self._lose(self.device, str(error.__cause__ or "no cause is known"), now_s)
             return []
 
     def close(self) -> None:
-        if self.device is not None and self._outbox is not None:
-            self._outbox.clear()
-            self._stop(self._outbox)
-            self.device.close(CLOSE_S)
-            self.device = None
+        """Tell the skin to stop, if its device takes the request in time, and close the device."""
+        if self.device is None:
+            return
+        now_s = time.monotonic()
+        self._requests.clear()
+        if self._bring_up is not None:
+            self._requests.append((math.inf, self._bring_up.stop()))
+        with contextlib.suppress(LostError):
+            self._flush(self.device)
+            while self._requests and time.monotonic() < now_s + CLOSE_S:
+                time.sleep(CLOSE_S / 20.0)
+                self._flush(self.device)
+        self.device.close(CLOSE_S)
+        self.device = None
 
     def _take(self, device: Device) -> None:
-        self.device, self._outbox, self._failed = device, Outbox(device), None
+        self.device, self._failed = device, None
+        self._requests.clear()
         self._pause_s = REOPEN_S[0]
+        self._polled_s = math.inf
         self.waits_for = ""
         self._amiss.clear()
 
-    def _exchange(self, device: Device, outbox: Outbox, now_s: float) -> list[Scan]:
+    def _exchange(self, device: Device, now_s: float) -> list[Scan]:
         """One turn: hear what has come, and send what is due. Raises LostError."""
-        scans: list[Scan] = []
-        bring_up = self._bring_up
-        items = self._read()
-        decoded = self.wire.take(items)
-        if decoded or (items and isinstance(items[0], Frame)):  # a line's bytes may be answers
-            self.bus.hear(now_s)
-        for packet, ended in decoded:
-            scans += ended
-            if packet is not None and bring_up is not None:
-                bring_up.on_packet(packet)
-        if bring_up is not None:
-            if not outbox:
-                self._sent_s = now_s
-            # the bring-up's clock stops while requests wait to be sent
-            waits = bool(outbox) and now_s < self._sent_s + PATIENCE_S
-            self._behind_s = now_s - self._due_s if waits else self._behind_s
-            self._due_s = now_s - self._behind_s
-            for scan in scans:
-                bring_up.on_scan(scan.ihb, self._due_s)
-            if not waits:
-                outbox.add(bring_up.due(self._due_s), now_s)
-            for line in bring_up.news():
-                log.info("%s", line)
-            lacks, device.is_starting = bring_up.waits_for, bring_up.is_starting
+        is_late = now_s > self._polled_s + self._stopped_s
+        self._polled_s = now_s
+        scans = self._hear(now_s, is_late=is_late)
+        if self._bring_up is not None:
+            lacks = self._ask(self._bring_up, scans, now_s)
+            device.is_starting = self._bring_up.is_starting
         else:
-            self.fault, lacks = self._listening.fault(now_s), self._listening.refusal
+            self.fault, lacks = self._listening.fault(now_s), self.decoder.refusal
         device.tend(now_s)
-        self._follow(device, now_s)
+        noticed, device.noticed = device.noticed, Noticed()
+        self.bus.take(noticed.bus, now_s)
+        self.decoder.drop_foreign(noticed.foreign)
+        for line in noticed.lines:
+            log.warning("%s", line)
         amiss = {"bus": self.bus.line(now_s), "device": device.waits_for, "skin": lacks}
         for subject, line in amiss.items():
             self._heed(subject, line)
         if not self.bus.is_mute(now_s):
             del amiss["bus"]
         self.waits_for = "; ".join(filter(None, amiss.values()))
-        self._flush(outbox, now_s)
+        self._flush(device)
+        if is_late:
+            self.counters.late += len(scans)
+            scans = []
         return scans
 
-    def _read(self) -> Items:
-        """The items that were gathered, or that wait in the device. Raises LostError."""
+    def _hear(self, now_s: float, *, is_late: bool) -> list[Scan]:
+        """Decode the items that were gathered, or that wait in the device; → scans. Raises
+        LostError.
+
+        `is_late`: the loop was stopped. Nothing tells when came what then waited on the line, which
+        dates its data when they are read; so all of it is read now, and not recorded.
+        """
+        before, held = -1, 0
+        while is_late and held > before:
+            before, held = held, self.gather()
         if not self._held:
             self.gather()
-        items, self._held = joined(self._held), []
+        items, self._held = self._held, []
         if self._failed is not None and not items:
             raise self._failed
-        if self._recorder is not None:
-            for item in items:
-                self._recorder.take(item)
-        return items
+        if items and isinstance(items[0], Chunk):  # a recording needs no row for each look at it
+            items = [Chunk(items[0].t, b"".join(item.data for item in items))]
+        if not is_late:
+            self._record(items)
+        decoded = list(self.decoder.take(items))
+        if decoded or (items and isinstance(items[0], Frame)):  # a line's bytes may be answers
+            self.bus.hear(now_s)
+        if self._bring_up is not None:
+            for packet, _ in decoded:
+                self._bring_up.on_packet(packet)
+        return [scan for _, ended in decoded for scan in ended]
 
-    def _follow(self, device: Device, now_s: float) -> None:
-        noticed, device.noticed = device.noticed, Noticed()
-        self.bus.take(noticed.bus, now_s)
-        for _ in range(noticed.foreign):
-            self._decoder.drop_foreign()
-        for line in noticed.lines:
-            log.warning("%s", line)
+    def _ask(self, bring_up: BringUp, scans: Sequence[Scan], now_s: float) -> str:
+        """Have the bring-up's requests sent; → what it lacks. Its clock stops while requests wait
+        to be sent."""
+        if not self._requests and math.isfinite(self._sent_s):
+            self._sent_s = now_s
+        while self._requests and self._requests[0][0] < now_s:
+            self._requests.popleft()
+            self.counters.unsent += 1
+            self._sent_s = -math.inf  # the clock goes on until a request leaves
+        waits = bool(self._requests) and now_s < self._sent_s + PATIENCE_S
+        if waits:
+            self._behind_s = now_s - self._due_s
+        self._due_s = now_s - self._behind_s
+        for scan in scans:
+            bring_up.on_scan(scan.ihb, self._due_s)
+        if not waits:
+            until_s = now_s + PATIENCE_S
+            self._requests.extend((until_s, request) for request in bring_up.due(self._due_s))
+        for line in bring_up.news():
+            log.info("%s", line)
+        return bring_up.waits_for
 
-    def _flush(self, outbox: Outbox, now_s: float) -> None:
-        try:
-            for frame in outbox.flush(now_s) if outbox else ():
-                if self._recorder is not None:
-                    self._recorder.take(frame)
-        finally:
-            self.counters.unsent += outbox.dropped
-            outbox.dropped = 0
-
-    def _stop(self, outbox: Outbox) -> None:
-        """Tell the skin to stop, if its device takes the request in time."""
-        now_s = time.monotonic()
-        outbox.add(self._bring_up.stop() if self._bring_up else [], now_s)
-        with contextlib.suppress(LostError):
-            self._flush(outbox, now_s)
-            while outbox and time.monotonic() < now_s + CLOSE_S:
-                time.sleep(CLOSE_S / 20.0)
-                self._flush(outbox, now_s)
+    def _flush(self, device: Device) -> None:
+        """Send what the device takes. Raises LostError."""
+        with contextlib.suppress(BlockingIOError):
+            while self._requests:
+                frame = device.send(*self._requests[0][1])
+                self._requests.popleft()
+                self._sent_s = max(self._sent_s, 0.0)
+                if frame is not None:
+                    self._record([frame])
 
     def _lose(self, device: Device, reason: str, now_s: float) -> None:
         self.counters.lost += 1
         self.bus.take(device.noticed.bus, now_s)
         device.close()
-        self.device = self._outbox = None
+        self.device = None
         self._next_open_s = now_s + self._pause_s
         self.waits_for = f"source.channel: the device went away ({reason})"
         log.warning("%s", self.waits_for)
@@ -282,3 +431,63 @@ class LiveSource(Source):
             log.warning("%s", line)
         elif before and not line:
             log.info("no longer: %s", before)
+
+
+class ArraySource(Source):
+    """Arrays that somebody else sends: the door hears and checks them, and wakes the loop."""
+
+    comes_by_door = True
+    decoder: ArrayDecoder
+
+    def __init__(
+        self,
+        config: SourceConfig,
+        skins: Mapping[int, Layout],
+        recorder: Recorder | None = None,
+    ) -> None:
+        uids = joint(list(skins.values())).uid.tolist()
+        super().__init__(ArrayDecoder(uids, config.array), skins, recorder)
+        self._endpoint = config.endpoint
+        self._held: deque[ArrayFrame] = deque(maxlen=HELD_MAX)
+        self._good_s: float | None = None  # when a frame was used last
+        self.look: Callable[[float], None] = lambda _: None  # at the door, where no loop does it
+        self._said: set[str] = set()
+        self._malformed, self._reason, self._connected = 0, "", False
+
+    def hear(self, frame: ArrayFrame) -> None:
+        self._held.append(frame)
+
+    def heed(self, *, connected: bool, malformed: int, reason: str) -> None:
+        if malformed != self._malformed:
+            self._say(f"source.endpoint: messages are no arrays: {reason}")
+        self._malformed, self._connected = malformed, connected
+        self._reason = f" (the last was none: {reason})" if reason else ""
+
+    def poll(self, now_s: float) -> list[Scan]:
+        self.look(now_s)
+        self._good_s = now_s if self._good_s is None else self._good_s
+        self.decoder.now_t = time.time()
+        scans: list[Scan] = []
+        while self._held:
+            frame = self._held.popleft()
+            scans += self.decoder.feed(frame)[1]
+            if self.decoder.fault:
+                self._say(self.decoder.fault)
+            else:
+                self._record([frame])
+        if scans:
+            self._good_s, self.waits_for = now_s, ""
+        elif now_s > self._good_s + SILENT_S:
+            self.waits_for = self.decoder.fault or (
+                f"source.endpoint: no array comes by {self._endpoint}{self._reason}"
+                if self._connected
+                else f"source.endpoint: nobody sends to {self._endpoint}"
+            )
+            self._say(self.waits_for)
+        return scans
+
+    def _say(self, line: str) -> None:
+        """Log a line, once."""
+        if line not in self._said and len(self._said) < LINES_MAX:
+            self._said.add(line)
+            log.warning("%s", line)

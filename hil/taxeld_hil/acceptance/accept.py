@@ -12,11 +12,9 @@ from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.service.doorkeeper import array_heard
 from taxeld.source.device import BusyError
-from taxeld.source.lines import line_speed
+from taxeld.source.lines import ADAPTER_BAUD, line_speed
 from taxeld.source.recorder import Recorder
-from taxeld.source.slcan_device import ADAPTER_BAUD
-from taxeld.source.source import Source
-from taxeld.source.sources import open_source
+from taxeld.source.sources import Source, open_source
 from taxeld_hil.acceptance.press import ask
 from taxeld_hil.acceptance.received import Say, receive
 from taxeld_hil.acceptance.report import AcceptanceReport

@@ -8,7 +8,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats
 from taxeld.layout.layout import Layout
 from taxeld.skin.channels import Wiring
-from taxeld.source.source import Source
+from taxeld.source.sources import Source
 from taxeld_hil.acceptance.received import Press, Received, Say, scans
 from taxeld_protocol.decoder import MISSING
 

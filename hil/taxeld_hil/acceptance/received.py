@@ -15,7 +15,7 @@ import numpy as np
 from taxeld.arrays import Floats
 from taxeld.layout.layout import Layout
 from taxeld.source.bring_up import SILENCE_S
-from taxeld.source.source import Source
+from taxeld.source.sources import Source
 from taxeld_hil.acceptance.idle import IdleReadings, measured
 from taxeld_protocol.array import ArrayDecoder
 from taxeld_protocol.decoder import Scan
@@ -112,7 +112,7 @@ def scans(source: Source, seconds: float) -> Iterator[Scan]:
 
 
 def _counters(source: Source) -> Counter[str]:
-    stats = source.wire.stats()
+    stats = source.decoder.stats()
     dropped = stats["dropped"]
     assert isinstance(dropped, dict)  # noqa: S101  (of CySkin's decoder)
     bus = {f"bus_{fault}": times for fault, times in source.bus.counts.items()}
@@ -127,7 +127,7 @@ def _since(before: Counter[str], after: Counter[str]) -> Counter[str]:
 def _tables(source: Source, ids: set[int]) -> dict[int, Sequence[Module]]:
     """The hubs' tables by short id. A hub that was given another short id has declared itself
     under both: then the one that is among the `ids` of scans."""
-    decoder = source.wire.decoder
+    decoder = source.decoder
     if isinstance(decoder, ArrayDecoder):
         return dict.fromkeys(ids, decoder.table)
     hubs: dict[tuple[Module, ...], int] = {}

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taxeld.source import module_order
+from taxeld.source.modules import text
 from taxeld_hil.acceptance.checks import CHECKS, CheckResult
 from taxeld_hil.acceptance.received import Received
 
@@ -68,7 +68,7 @@ class AcceptanceReport:
         tables = self.received.tables
         modules = [m for table in tables.values() for m in table if m.channels]
         known = all(m.sui is not None and not m.fault for m in modules)
-        return module_order.text(tables) if tables and known else ""
+        return text(tables) if tables and known else ""
 
     @property
     def json(self) -> str:

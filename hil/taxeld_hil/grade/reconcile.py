@@ -103,6 +103,7 @@ def _onwards(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
 
     unused = ("scans_old", "scans_from_the_future", "scans_waiting")
     used = counted("skin.scans") + sum(counted(f"inputs.{name}") for name in unused)
+    used += counted("source.late")
     taken = (
         counted("estimator.scans")
         + counted("skin.learning")

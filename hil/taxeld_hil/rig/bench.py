@@ -18,6 +18,7 @@ from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort, CanPort, NativePort, Port, SlcanPort, is_heard
 from taxeld_hil.rig.rig import BEFORE_S, Rig
 from taxeld_hil.scenario.scenario import Scenario
+from taxeld_protocol.frames import Chunk
 
 
 class Bench:
@@ -101,7 +102,7 @@ class Bench:
         for unit in units:
             item = unit.item
             if isinstance(item, bytes):
-                self._recorder.take(session.Chunk(wall, item))
+                self._recorder.take(Chunk(wall, item))
             else:
                 unit = unit._replace(item=item._replace(t=wall))  # noqa: PLW2901
                 self._recorder.take(item._replace(t=wall))

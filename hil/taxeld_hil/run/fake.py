@@ -3,7 +3,7 @@
 Its process, its sockets and the kernel's devices are not part of it: a run in real time has them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from taxeld.config.tables import Config, SourceConfig
@@ -13,10 +13,7 @@ from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration, SkinState
-from taxeld.source import buses
-from taxeld.source.array_source import ArraySource
-from taxeld.source.source import Source
-from taxeld.source.sources import LiveSource
+from taxeld.source.sources import ArraySource, LiveSource, Source, open_sources, polled
 from taxeld.stream import messages
 from taxeld_hil.run.memory import MemoryDevice, MemoryLine
 from taxeld_protocol.array import ArrayFrame
@@ -47,11 +44,11 @@ class FakeDaemon:
         given = [calibration, *[None] * (len(skins) - 1)]
         self.pipeline = Pipeline(config, skins, models, samples, calibration=given)
         left = iter(lines)
-        self.buses = buses.opened(
-            config, skins, lambda source, skin, _: _source(source, skin, next(left))
+        self.sources = open_sources(
+            config, skins, lambda source, on_it: _source(source, on_it, next(left))
         )
         self._lines = lines
-        self.source = self.buses[0].source  # of the first link
+        self.source = self.sources[0]  # of the first link
         self.outcomes: list[Outcome] = []  # outcomes of the last tick
         self._start_s = lines[0].now
         self.pipeline.freshness.came(self._start_s)
@@ -63,11 +60,11 @@ class FakeDaemon:
         self.pipeline.stages[link].poses.add(t, x, y, theta)
 
     def tick(self, t: float) -> None:
-        for bus, line in zip(self.buses, self._lines, strict=True):
-            for frame in line.take() if bus.source.comes_by_door else ():
+        for source, line in zip(self.sources, self._lines, strict=True):
+            for frame in line.take() if source.comes_by_door else ():
                 if isinstance(frame, ArrayFrame):
-                    bus.source.hear(frame)
-        came = buses.polled(self.buses, t)
+                    source.hear(frame)
+        came = polled(self.sources, t)
         self.outcomes = list(self.pipeline.advance(came[0], t, *came[1:]))
         for outcome in self.outcomes:
             self.pipeline.freshness.came(t, outcome.link)
@@ -80,7 +77,7 @@ class FakeDaemon:
         """The part of /taxeld/health that the harness reads."""
         parts: dict[str, Any] = {
             "uptime_s": t - self._start_s,
-            "source": self.source.wire.stats(),
+            "source": self.source.decoder.stats(),
             **self.pipeline.health(),
         }
         parts["inputs"]["poses_malformed"] = 0
@@ -89,18 +86,19 @@ class FakeDaemon:
             parts["links"] = {
                 name: stage.health() for name, stage in zip(names, stages, strict=True)
             }
-            for bus in self.buses:  # of links that share one, the first tells
-                parts["links"][names[bus.links[0]]]["source"] = bus.source.wire.stats()
+            for source in self.sources:  # of links that share one, the first tells
+                first = names[source.links.numbers[0]]
+                parts["links"][first]["source"] = source.decoder.stats()
         return messages.health(0, t, parts)
 
 
-def _source(config: SourceConfig, skin: Layout, line: MemoryLine) -> Source:
+def _source(config: SourceConfig, skins: Mapping[int, Layout], line: MemoryLine) -> Source:
     """The daemon's end of a line. Raises SetupError where the bus cannot carry the scans."""
 
     def device(_: SourceConfig) -> MemoryDevice:
         return MemoryDevice(line)
 
     if not line.rig.is_array:
-        return LiveSource(config, skin, device, None)
-    line.ask(BROADCAST, bytes((Command.SET_AUTO_SYNC, 1)))  # as a subscription does
-    return ArraySource(config, skin, None)
+        return LiveSource(config, skins, device)
+    line.ask(BROADCAST, Command.SET_AUTO_SYNC, b"\1")  # as a subscription does
+    return ArraySource(config, skins)

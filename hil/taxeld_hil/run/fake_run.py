@@ -1,16 +1,17 @@
 """A run on the fake clock, without waiting; deterministic for a scenario and a seed."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from taxeld.commands.advise import Adviser
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate
 from taxeld.skin.calibration import Calibration, SkinState
-from taxeld.source import session
-from taxeld.source.recorder import HEADERS, Item
-from taxeld.source.session import Chunk
+from taxeld.source import recorder, session
+from taxeld.source.session import Item
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.grade.reconcile import laws, summed
@@ -22,8 +23,6 @@ from taxeld_hil.run.memory import MemoryLine
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
 from taxeld_hil.world import bundled
-from taxeld_protocol.array import ArrayFrame, line_of
-from taxeld_protocol.frames import Frame, format_log_line
 
 NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
 HEALTH_S = 1.0
@@ -66,8 +65,8 @@ class FakeRun:
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
         self.judge = self.judging()
-        # called with each of the robot's poses, by link
-        self._records: list[Callable[[Item], None]] = [lambda _: None for _ in self.rigs]
+        # called with what comes, and its link
+        self._record: Callable[[Item, int], None] = lambda _item, _link: None
         self._adviser = Adviser(self.config, settings.REACH) if scenario.advised else None
         self._seed = seed
         self._began_s = self._next_health_s = 0.0
@@ -92,13 +91,12 @@ class FakeRun:
         else:
             write_config(directory, self._file)
             write_truth(directory, self.rig)
-            kept: list[list[Item]] = [[] for _ in self.rigs]
-            self._records = [items.append for items in kept]
-            for line, record in zip(self.lines, self._records, strict=False):
-                line.record = record
+            kept: list[tuple[Item, int]] = []
+            self._record = lambda item, link: kept.append((item, link))
+            for link, line in enumerate(self.lines):
+                line.record = partial(self._record, link=link)
             self.run()
-            for place, items in zip(self.config.names, kept, strict=True):
-                write_session(directory / place if items is not kept[0] else directory, items)
+            write_session(directory, kept, len(self.rigs))
         ledger = self.rig.ledger
         if len(self.rigs) > 1:
             ledger = Ledger((), ledger.period_s)
@@ -142,7 +140,7 @@ class FakeRun:
                 line.take()
         for link, rig in enumerate(self.rigs):
             for row in rig.poses(t, now, now):
-                self._records[link](row)
+                self._record(row, link)
                 if self.daemon is not None:
                     rig.ledger.poses_heard += 1
                     self.daemon.pose(*row, link)
@@ -192,24 +190,9 @@ class FakeRun:
         return FakeDaemon(self.config, self.scenes, self.lines, kept, self._calibration)
 
 
-def write_session(directory: Path, kept: Sequence[Item]) -> None:
+def write_session(directory: Path, kept: Sequence[tuple[Item, int]], links: int) -> None:
     """Write the frames, or bytes of a serial line, and the poses of a run into its session."""
-    directory.mkdir(exist_ok=True)
-    lines: dict[str, list[str]] = {session.POSES: []}
-    data = bytearray()
-    for item in kept:
-        if isinstance(item, Frame):
-            name, line = session.FRAMES, format_log_line(item)
-        elif isinstance(item, ArrayFrame):
-            name, line = session.ARRAY, line_of(item)
-        elif isinstance(item, Chunk):
-            name, line = session.SERIAL_TIMES, f"{item.t:.6f},{len(data)}"
-            data += item.data
-        else:
-            name, line = session.POSES, f"{item[0]:.6f},{item[1]!r},{item[2]!r},{item[3]!r}"
-        lines.setdefault(name, []).append(f"{line}\n")
-    for name, found in lines.items():
-        text = HEADERS.get(name, "") + "".join(found)
-        (directory / name).write_text(text, encoding="ascii")
-    if data:
-        (directory / session.SERIAL).write_bytes(data)
+    parts, headers = recorder.formatted(kept, Counter(), links), recorder.headers(links)
+    for name, data in parts.items():
+        if data or name == session.POSES:
+            (directory / name).write_bytes(headers.get(name, "").encode() + data)

@@ -1,15 +1,14 @@
 """The wire of a run on the fake clock: a rig at one end, a device of the daemon's at the other."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from taxeld.errors import SetupError
-from taxeld.source.device import Device, LostError, Piece
-from taxeld.source.recorder import Item
-from taxeld.source.session import Chunk, Items
+from taxeld.source.device import Device, LostError
+from taxeld.source.session import Item
 from taxeld_hil.rig.rig import Rig
-from taxeld_protocol.cyskin import BROADCAST, Packet
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.cyskin import Packet
+from taxeld_protocol.frames import Chunk, Frame
 
 
 class MemoryLine:
@@ -39,17 +38,13 @@ class MemoryLine:
         for rig in self._rigs:
             self._deliver(rig, rig.rest())
 
-    def ask(self, to: int, body: bytes) -> None:
+    def ask(self, to: int, command: int, payload: bytes) -> None:
         """Deliver the answers to a request."""
-        packet = (
-            Packet(self.now, to, body[0], body[1:])
-            if body
-            else Packet(self.now, BROADCAST, to, body)
-        )
+        packet = Packet(self.now, to, command, payload)
         for rig in self._rigs:
             self._deliver(rig, rig.answer(packet, self.t))
 
-    def take(self) -> Items:
+    def take(self) -> Sequence[Any]:
         """Frames, bytes or arrays delivered since the last call."""
         frames, data = self._waiting, self._bytes
         self._waiting, self._bytes = [], b""
@@ -81,18 +76,13 @@ class MemoryDevice(Device):
             raise SetupError("unplugged")
         line.take()  # as a serial port is flushed when it is opened
 
-    def read(self) -> list[Frame] | list[Chunk]:
+    def read(self) -> Sequence[Frame | Chunk]:
         if not self._line.is_plugged:
             raise LostError
-        items: Any = self._line.take()  # an array comes by no device
-        return items  # type: ignore[no-any-return]
+        return self._line.take()
 
-    def pack(self, to: int, body: bytes) -> list[bytes]:
-        return [to.to_bytes(2) + body]  # LEAVE_BOOTLOADER does not fit one byte
-
-    def put(self, piece: Piece) -> None:
-        assert isinstance(piece, bytes)  # noqa: S101  (as packed)
-        self._line.ask(int.from_bytes(piece[:2]), piece[2:])
+    def send(self, to: int, command: int, payload: bytes) -> None:
+        self._line.ask(to, command, payload)
 
     def close(self, wait_s: float = 0.0) -> None:
         """Nothing is held open."""

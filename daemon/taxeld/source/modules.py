@@ -5,17 +5,16 @@ all taxels would lie in the wrong place. So the order comes from `source.modules
 in a recording, or is unknown.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.source.session import Items
-from taxeld.source.wire import Wire
-from taxeld_protocol.array import ArrayDecoder, ArrayFrame
+from taxeld_protocol.array import ArrayDecoder
 from taxeld_protocol.decoder import Decoder
+from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module, listed
 
 FILE = "modules.toml"
@@ -48,15 +47,16 @@ class ListedModules:
 class RecordedModules:
     """The modules found in a recording, or listed by `source.modules`."""
 
-    def __init__(self, given: ListedModules, items: Items, what: str) -> None:
-        """`what`: name of the recording in messages.
+    def __init__(
+        self, given: ListedModules, items: Callable[[], Iterable[Frame | Chunk]], what: str
+    ) -> None:
+        """`items` reads the recording; `what`: its name in messages.
 
         Raises:
             SetupError: the modules of the first scan are unknown.
         """
         self._given, self._items, self._what = given, items, what
-        wire = Wire(Decoder(self.of))
-        any(heard.scans for item in items for heard in wire.take([item]))  # up to the first scan
+        any(scans for _, scans in Decoder(self.of).take(items()))  # up to the first scan
 
     def of(self, ihb: int) -> list[Module]:
         """The modules of a hub that streams before it has declared them; empty where only other
@@ -65,29 +65,29 @@ class RecordedModules:
         Raises:
             SetupError: no hub's modules are known.
         """
-        declared = self._declared
-        found = declared.get(ihb) or self._given.of(ihb)
-        if not (found or declared or self._given):
+        found = self._declared.get(ihb) or self._given.of(ihb)
+        if not (found or self._declared or self._given):
             raise SetupError(missing(f"hub {ihb} of {self._what}"))
         return found
 
     @cached_property
     def _declared(self) -> dict[int, list[Module]]:
         decoder = Decoder()
-        Wire(decoder).take(self._items)
+        for _ in decoder.take(self._items()):
+            pass
         return _placed(decoder)
 
 
 def recorded(
-    config: SourceConfig, layout: Layout, items: Items, what: str
+    config: SourceConfig, layout: Layout, items: Callable[[], Iterable[Frame | Chunk]], what: str
 ) -> Decoder | ArrayDecoder:
-    """The decoder of a recording, named by `what`. It raises SetupError later on for a hub whose
-    modules are unknown.
+    """The decoder of a recording, as `RecordedModules` has it. It raises SetupError later on for a
+    hub whose modules are unknown.
 
     Raises:
         SetupError: the modules of the first scan are unknown.
     """
-    if items and isinstance(items[0], ArrayFrame):
+    if config.kind == "array":
         return ArrayDecoder(layout.uid.tolist(), config.array)
     known = RecordedModules(given(config, layout), items, what)
     return Decoder(known.of, config.period_ms / 1000.0)
@@ -116,11 +116,6 @@ class Listening:
         self._decoder = decoder
         self._since_s: float | None = None  # time when data without a place were first seen
         self._can = False
-
-    @property
-    def refusal(self) -> str:
-        """A line on a hub that is not read; empty without one."""
-        return self._decoder.refusal
 
     def fault(self, now_s: float) -> str:
         """A line on why no scan can be used; empty where some can."""
