@@ -22,9 +22,10 @@ from pfilter import ParticleFilter
 
 from taxeld.config.tables import FilterConfig, SensorPoseConfig, SkinConfig
 from taxeld.estimator import particles as pf
-from taxeld.estimator.memory import Memory
+from taxeld.estimator.memory import Memory, ObjectSkin
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.paper import Paper
+from taxeld.estimator.scans import ScanList
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
@@ -47,7 +48,8 @@ class PeerScans:
     def __init__(self, model: ObservationModel, count: int) -> None:
         rng = np.random.default_rng(0)
         self.model, self.noise = model, Noise()
-        self.nothing = Memory(model, self.noise)
+        self.nothing = Memory(ObjectSkin.of(model, self.noise))
+        self.list = ScanList(model.links, self.noise)
         made = contacts.synthesise(model.scene, 0.04, 0.005, 4 * count, rng).pose
         made = made[model.activation(made).max(axis=1) > 0.1][:count]
         live = np.ones(len(model.layout), dtype=np.bool_)
@@ -58,37 +60,28 @@ class PeerScans:
 
     def log_likelihood(self, k: int, poses: np.ndarray) -> np.ndarray:
         """Log likelihood (N,) of poses (N, 3) for scan `k`, as for a new scan."""
-        memory = self.nothing.plus(self.observations[k % len(self.observations)])
+        memory = self.nothing.plus(self.list.add(self.observations[k % len(self.observations)]))
         return memory.explain(poses)[:, 0]
 
 
-def ours(
-    scans: PeerScans, n: int, kind: type[Paper] | type[Mixture]
-) -> Callable[[], Paper | Mixture]:
-    """Makes one of our rules with N particles; a `Mixture` remembers eight touches."""
+def ours(scans: PeerScans, n: int, kind: type[Mixture]) -> Callable[[], Mixture]:
+    """Makes one of our rules with N particles and no samples; but for the paper's it remembers
+    eight touches."""
     config = FilterConfig(particles=n, particles_max=n)
     start = np.random.default_rng(1).standard_normal((n, 3)) * PRIOR_SD
 
-    def made() -> Paper | Mixture:
+    def made() -> Mixture:
         robot_m = SensorPoseConfig().sigma_m
-        rule = kind(scans.model, config, robot_m, np.random.default_rng(2))
+        nothing = np.empty((0, 3))
+        rule = kind(scans.model, config, robot_m, np.random.default_rng(2), lambda *_: nothing)
         rule.belief = pf.equal(start.copy(), np.empty((n, 0)))
-        if isinstance(rule, Mixture):
+        if kind is Mixture:
             for number, observation in enumerate(scans.observations[:TOUCHES], 1):
-                rule.memory = rule.memory.plus(observation, number)
+                rule.memory = rule.memory.plus(scans.list.add(observation, number))
             rule.belief.remembered = rule.memory.explain(start)
         return rule
 
     return made
-
-
-def updated(rule: Paper | Mixture, observation: Observation) -> None:
-    """Update a rule by a scan without samples."""
-    nothing = np.empty((0, 3))
-    if isinstance(rule, Mixture):
-        rule._update(observation, nothing, TOUCHES + 1)
-    else:
-        rule.update(observation, nothing)
 
 
 class PeerModel(StateSpaceModel):
@@ -165,7 +158,9 @@ def measure(scans: PeerScans, n: int) -> list[dict[str, object]]:
         for name, kind in rules.items():
             make = ours(scans, n, kind)
             fresh = [(make(), observation) for _ in range(steps)]
-            spent[name].append(_ms(fresh, lambda item: updated(*item)))
+            spent[name].append(
+                _ms(fresh, lambda item: item[0].take(scans.list.add(item[1], TOUCHES + 1)))
+            )
         spent["particles"].append(_ms(range(steps), lambda _: next(smc)))
         spent["pfilter"].append(_ms(range(steps), lambda _: peer.update(np.zeros(3))))
     ms = {name: float(np.median(each[1:])) for name, each in spent.items()}

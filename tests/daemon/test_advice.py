@@ -18,13 +18,13 @@ from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.memory import Memory
-from taxeld.estimator.mixture import Mixture
+from taxeld.estimator.likelihood import NumpyExplainer
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.proposals.analytic import Table
+from tests.rig.memories import memory_of, plus
 from tests.rig.pressed_box import TRUTH, World, approach, estimator, settled
 from tests.rig.scenes import DEPTH_MAX_M, box, disc, scene_of
 
@@ -206,7 +206,6 @@ def test_hypotheses_hold_every_mode_and_a_place_that_the_belief_has_lost(
     assert found.weight.sum() == pytest.approx(1.0)
     assert found.weight[: found.modes].sum() == 0.0
     rule = subject.rule
-    assert isinstance(rule, Mixture)
     rule.belief.pose = rule.belief.pose + np.array([0.1, 0.0, 0.0])
     assert (rule.metric.distance(drawn(subject).pose, TRUTH) < 0.01).any()
 
@@ -240,9 +239,10 @@ def test_a_scan_that_may_come_is_as_likely_as_when_it_has_come(
     box_model: ObservationModel, is_compiled: bool
 ) -> None:
     rng = np.random.default_rng(0)
-    memory = Memory(box_model, Noise())
+    memory = memory_of(box_model, Noise())
     if not is_compiled:
-        memory._compiled = [None]
+        numpy = NumpyExplainer(box_model, Noise())
+        memory = replace(memory, skin=replace(memory.skin, explainers=[numpy]))
     made = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 60, rng)
     sensor = np.tile([0.2, -0.1, 0.4], (len(made.pose), 1))
     poses = se2.compose(sensor, made.pose)
@@ -251,7 +251,7 @@ def test_a_scan_that_may_come_is_as_likely_as_when_it_has_come(
     like = Observation(sensor[0], np.zeros(z.shape[1]), np.ones(z.shape[1], np.bool_))
     told = memory.foreseen(like, z, sensor[:4], poses)
     for k, reading in enumerate(z):
-        felt = memory.plus(replace(like, z=reading, sensor=sensor[k]))
+        felt = plus(memory, replace(like, z=reading, sensor=sensor[k]))
         np.testing.assert_allclose(told[:, k], felt.explain_newest(poses), atol=1e-3)
 
 

@@ -16,7 +16,6 @@ from taxeld.arrays import Bools, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import Mixture
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
@@ -62,7 +61,6 @@ def torn(model: ObservationModel) -> Estimator:
         model, NoSamples(), FilterConfig(), beside=[NoSamples()] * (len(model.links) - 1)
     )
     rule, n = subject.rule, subject.config.particles
-    assert isinstance(rule, Mixture)
     off = np.random.default_rng(0).standard_normal((n, 3)) * (0.001, 0.001, 0.01)
     pose = off + np.where((np.arange(n) % 2 == 0)[:, None], TRUTH, TURNED)
     rule.belief = pf.equal(pose, rule.memory.explain(pose))

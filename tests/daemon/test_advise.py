@@ -11,7 +11,7 @@ import pytest
 
 from taxeld.commands import advise
 from taxeld.config.file import load, parse
-from taxeld.estimator.history import Arrays
+from taxeld.estimator.scans import Arrays
 from taxeld.model import se2
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle

@@ -6,12 +6,12 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.estimator.anything import Anything
-from taxeld.estimator.memory import Memory
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
 
+from ..rig.memories import memory_of, plus
 from ..rig.scenes import DEPTH_MAX_M, box, scene_of
 
 NOISE = Noise(sigma=0.04)
@@ -35,7 +35,7 @@ def touches(model: ObservationModel, n: int) -> list[Observation]:
 
 def ahead(model: ObservationModel, scan: Observation) -> float:
     """Nats by which the object where it is explains a scan better than anything."""
-    known = Memory(model, NOISE).plus(scan)
+    known = plus(memory_of(model, NOISE), scan)
     return float(known.explain(AT)[0, 0] - known.anything[0])
 
 

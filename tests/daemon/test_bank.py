@@ -1,5 +1,7 @@
 """Which of several known objects is felt, or none of them."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,6 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.bank import FOLLOWED, Known
 from taxeld.estimator.estimate import SURE, Estimate, Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import Mixture
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import CONTINUOUS
@@ -41,8 +42,19 @@ def press(subject: Estimator, world: World, sides: tuple[float, ...] = SIDES) ->
 
 @pytest.mark.parametrize("touched", range(len(SHAPES)))
 def test_the_touched_object_is_named_and_found(known: list[Known], touched: int) -> None:
+    """Before a touch all are alike. Their probabilities and that of none are one in all."""
     subject, world = several(known), World(known[touched].model)
-    press(subject, world)
+    before = subject.estimate
+    assert np.ptp(before.objects) == pytest.approx(0.0)
+    assert before.status is Status.SEARCHING
+    for estimate in [before, *press(subject, world)]:
+        stands, moved, other = estimate.hypotheses
+        assert sum(estimate.objects) == pytest.approx(stands + moved)
+        assert sum(estimate.objects) + other == pytest.approx(1.0)
+        assert min(estimate.objects) >= 0.0
+        assert estimate.modes[0].object == estimate.object
+        assert np.allclose(estimate.map, estimate.modes[0].pose)
+        assert sum(mode.weight for mode in estimate.modes) <= 1.0 + 1e-9
     found = subject.estimate
     assert found.object == touched
     assert found.objects[touched] > SURE
@@ -50,36 +62,29 @@ def test_the_touched_object_is_named_and_found(known: list[Known], touched: int)
     assert subject.rule.metric.distance(found.map, world.truth) < 0.005
 
 
-def test_probabilities_of_objects_and_of_none_are_one_in_all(known: list[Known]) -> None:
-    subject, world = several(known), World(known[1].model)
-    for estimate in [subject.estimate, *press(subject, world)]:
-        stands, moved, other = estimate.hypotheses
-        assert sum(estimate.objects) == pytest.approx(stands + moved)
-        assert sum(estimate.objects) + other == pytest.approx(1.0)
-        assert min(estimate.objects) >= 0.0
-
-
-def test_before_a_touch_all_objects_are_alike(known: list[Known]) -> None:
-    subject = several(known)
-    assert np.ptp(subject.estimate.objects) == pytest.approx(0.0)
-    assert subject.estimate.status is Status.SEARCHING
-
-
 def test_an_object_that_is_none_of_them_is_said_to_be_other(
     known: list[Known], skin: Layout
 ) -> None:
-    subject = several(known)
-    told = press(subject, World(model_of(*UNKNOWN, skin)))
+    told = press(several(known), World(model_of(*UNKNOWN, skin)))
     assert told[-1].hypotheses.other > 0.9
     assert told[-1].status is Status.INCONSISTENT
     assert all(estimate.p < SURE for estimate in told)
 
 
-def test_an_object_in_the_place_of_another_is_named(known: list[Known]) -> None:
-    """It was ruled out before, and comes back with what is remembered."""
+def test_an_object_in_the_place_of_another_is_named(
+    known: list[Known], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was ruled out before, when it cost nothing, and comes back with what is remembered."""
     subject, world = several(known), World(known[0].model)
     press(subject, world)
     assert subject.bank.ruled_out == {1, 2}
+    asked: list[int] = []
+    with monkeypatch.context() as patched:
+        for k, rule in enumerate(subject.bank.rules):
+            for name in ("take", "revisit", "adopt"):
+                patched.setattr(rule, name, _counted(getattr(rule, name), asked, k))
+        press(subject, world)
+    assert set(asked) == {0}
     after = World(known[2].model)
     after.t = world.t + 1.0
     press(subject, after)
@@ -88,62 +93,28 @@ def test_an_object_in_the_place_of_another_is_named(known: list[Known]) -> None:
     assert subject.rule.metric.distance(subject.estimate.map, world.truth) < 0.005
 
 
-def test_an_object_that_is_ruled_out_costs_nothing(
-    known: list[Known], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    subject, world = several(known), World(known[0].model)
-    press(subject, world)
-    asked: list[int] = []
-    for k, rule in enumerate(subject.bank.rules):
-        monkeypatch.setattr(rule, "learn", _counted(rule.learn, asked, k))
-        monkeypatch.setattr(rule, "revisit", _counted(rule.revisit, asked, k))
-        monkeypatch.setattr(rule, "adopt", _counted(rule.adopt, asked, k))  # type: ignore[attr-defined]
-    press(subject, world)
-    assert set(asked) == {0}
-
-
 def test_a_touch_is_learned_by_a_few_objects_at_once(known: list[Known]) -> None:
-    """The others learn of it while there is nothing else to do, and nobody is sure before."""
+    """The others learn of it while there is nothing else to do, and nobody is sure before. Until
+    then it is no evidence before itself, or it would count twice."""
     subject, world = several(known), World(known[2].model)
     press(subject, world, SIDES[:1])
-    learn, before = subject.learn, subject.estimate
-    subject.on_scan = learn  # type: ignore[method-assign]
+    before, rules = subject.estimate, subject.bank.rules
+    evidence = [rule.log_z for rule in rules]
+    on_scan = subject.on_scan
+    subject.on_scan = partial(on_scan, thinks=False)  # type: ignore[method-assign]
     world.press(subject, SIDES[1])
     assert subject.bank.is_behind
-    behind = len(known) - FOLLOWED
+    (left,) = subject.bank.due
+    assert len(known) - FOLLOWED == 1
     now = subject.estimate
-    left = [k for k in range(len(known)) if k in subject.bank.due]
-    assert len(left) == behind
-    assert now.objects[left[0]] / max(now.objects) == pytest.approx(
-        before.objects[left[0]] / max(before.objects), rel=0.7
+    assert now.objects[left] / max(now.objects) == pytest.approx(
+        before.objects[left] / max(before.objects), rel=0.7
     )
+    assert rules[left].log_z == pytest.approx(evidence[left], abs=1.0)
     while subject.bank.is_behind:
         assert subject.has_thought
         assert subject.think()
     assert not subject.bank.due
-
-
-def test_a_contact_that_an_object_has_yet_to_learn_is_no_evidence_before_it(
-    known: list[Known],
-) -> None:
-    """It would count twice: before the contact, and when it is learned."""
-    subject, world = several(known), World(known[2].model)
-    press(subject, world, SIDES[:1])
-    subject.on_scan = subject.learn  # type: ignore[method-assign]
-    rules = [rule for rule in subject.bank.rules if isinstance(rule, Mixture)]
-    before = [rule.log_z for rule in rules]
-    world.press(subject, SIDES[1])
-    assert subject.bank.due
-    for k in subject.bank.due:
-        assert rules[k].log_z == pytest.approx(before[k], abs=1.0)
-
-
-def test_modes_are_of_the_named_object_first(known: list[Known]) -> None:
-    subject, world = several(known), World(known[1].model)
-    for estimate in press(subject, world):
-        assert estimate.modes[0].object == estimate.object
-        assert np.allclose(estimate.map, estimate.modes[0].pose)
-        assert sum(mode.weight for mode in estimate.modes) <= 1.0 + 1e-9
 
 
 def _counted(method, asked: list[int], k: int):  # type: ignore[no-untyped-def]

@@ -79,6 +79,10 @@ def test_a_minimal_configuration_has_every_default() -> None:
                 ("motion", "push", "filter.motion: a pushed object must be known: name one sc"),
             )
         ),
+        (
+            MINIMAL + '[filter]\nmotion = "push"\ninjection = "paper"',
+            "filter.motion: 'push' needs filter.injection = 'mixture'",
+        ),
         (SOURCE + "[filter]\nseed = 3", "filter.seed: needs an object: name it in scene.bundle"),
         # several links
         ("skin = []\n" + SOURCE + "bitrate = 7", "source.bitrate: must be one of"),

@@ -4,21 +4,124 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from taxeld.arrays import Poses
+from taxeld.arrays import Floats, Poses
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import Hypotheses
-from taxeld.estimator.evidence import ModelEvidence, odds
+from taxeld.estimator.evidence import HAZARD, MEANINGLESS, ModelEvidence, Runs, odds
 from taxeld.estimator.memory import Memory
+from taxeld.estimator.priors import BeliefPrior
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
 
+from ..rig.memories import memory_of, plus
 from ..rig.pressed_box import box_side
 
+EVIDENCE, USUAL = 5.0, -12.0  # of all before the newest contact; of a contact of anything [nats]
 HERE, THERE = np.zeros(3), np.array([0.1, -0.1, 1.2])
 SIDES = (0.2, 1.3, 2.9, 4.5, 3.6, 5.2, 0.7, 2.2)
+nats = st.floats(-60.0, 60.0)
+
+
+def of_contacts(n: int, scans: int = 1) -> Runs:
+    """n contacts of as many scans each, and no silence; before each but the first there is the
+    same evidence."""
+    shares = np.hstack([np.repeat(np.eye(n), scans, axis=0) / scans, np.zeros((n * scans, n))])
+    begun = np.full(n, np.log(HAZARD) + EVIDENCE)
+    begun[0] = 0.0
+    return Runs(shares, np.repeat([USUAL, 0.0], n), np.ones(n, np.bool_), begun, begun)
+
+
+def support(runs: Runs, *told: float) -> float:
+    return float(runs.support(np.array([told]))[0])
+
+
+def worth(nats: float) -> float:
+    """A contact by these nats, which may mean nothing."""
+    return float(np.exp(nats)) + MEANINGLESS
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        pytest.param([4.0], np.log(worth(4.0)), id="by how much likelier the pose makes it"),
+        pytest.param([-1e5], np.log(MEANINGLESS), id="it may mean nothing, and costs no more"),
+        pytest.param(
+            [-3.0, 4.0],
+            np.log(worth(-3.0) * worth(4.0) + HAZARD * np.exp(EVIDENCE) * worth(4.0)),
+            id="it stood for both, or moved and the second counts alone",
+        ),
+    ],
+)
+def test_what_contacts_are_worth(told: list[float], expected: float) -> None:
+    assert support(of_contacts(len(told)), *(USUAL + each for each in told)) == pytest.approx(
+        expected
+    )
+
+
+@given(st.lists(st.tuples(nats, nats, nats), min_size=1, max_size=6), st.permutations(range(3)))
+def test_scans_of_a_contact_count_as_one_in_any_order(
+    told: list[tuple[float, ...]], order: list[int]
+) -> None:
+    """And a pose is supported by all runs together."""
+    runs, given_scans = of_contacts(len(told), scans=3), np.array(told)
+    found = support(runs, *given_scans.ravel())
+    assert support(runs, *given_scans[:, order].ravel()) == pytest.approx(found)
+    alone = of_contacts(len(told))
+    assert support(alone, *given_scans.mean(axis=1)) == pytest.approx(found)
+    each = alone.each(given_scans.mean(axis=1)[None])
+    assert each.max() - 1e-9 <= found <= each.max() + np.log(len(told)) + 1e-9
+
+
+def prior(model: ObservationModel) -> BeliefPrior:
+    poses = 1e-3 * np.random.default_rng(0).standard_normal((50, 3))
+    metric, weight = PoseMetric(model.scene), np.full(50, 0.02)
+    return BeliefPrior(metric, poses, weight, metric.modes(poses, weight, 0.05, 5, 64))
+
+
+def remembered(
+    model: ObservationModel, scans: list[tuple[int, bool]], known: BeliefPrior | None = None
+) -> Memory:
+    """Scans of contacts by number, or of the silence after them."""
+    memory, live = memory_of(model, Noise(), prior=known), np.ones(len(model.layout), np.bool_)
+    for number, touched in scans:
+        z: Floats = np.where(np.arange(len(live)) < 3 * touched, 0.5, 0.0)
+        memory = plus(memory, Observation(np.zeros(3), z, live), number, EVIDENCE)
+    return memory
+
+
+def test_a_prior_counts_only_as_long_as_the_object_has_stood(box_model: ObservationModel) -> None:
+    known = prior(box_model)
+    runs = remembered(box_model, [(1, True), (2, True)], known).runs
+    usual, told = runs.each(np.zeros((1, 3))), runs.each(np.array([[2.5, 0.0, 0.0]]))
+    assert np.allclose(told - usual, [[2.5, 0.0]])
+    alone = memory_of(box_model, Noise(), prior=known)
+    assert alone.runs.support(np.full((1, 1), 2.5)) == [2.5]
+    assert memory_of(box_model, Noise()).runs.support(np.empty((3, 0))).tolist() == [0.0] * 3
+
+
+def test_silence_tells_of_the_object_from_the_next_contact_on(box_model: ObservationModel) -> None:
+    """It may have moved after the contact before. No silence means nothing."""
+    runs = remembered(box_model, [(1, True), (1, False), (2, True)]).runs
+    cost = runs.each(np.zeros((1, 3))) - runs.each(np.array([[0.0, -1e4, 0.0]]))
+    assert np.allclose(cost, 1e4)
+    assert runs.touched.tolist() == [True, True]
+    runs = remembered(box_model, [(1, True), (2, True), (2, False)]).runs
+    assert runs.touched.tolist() == [True, True, False]
+    assert np.isinf(runs.open).tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize("scans", [1, 2, 5])
+def test_a_contact_counts_once_however_many_scans_are_of_it(
+    box_model: ObservationModel, scans: int
+) -> None:
+    runs = remembered(box_model, [(1, True)] * scans + [(2, True), (2, False)]).runs
+    shares = runs.shares.sum(axis=1)
+    assert np.allclose(shares, [1.0 / scans] * scans + [1.0, 1.0])
 
 
 class Felt:
@@ -26,7 +129,7 @@ class Felt:
 
     def __init__(self, model: ObservationModel) -> None:
         self._model = model
-        self.memory, self.log_z, self.contacts = Memory(model, Noise(0.04)), 0.0, 0
+        self.memory, self.log_z, self.contacts = memory_of(model, Noise(0.04)), 0.0, 0
         self.evidence = ModelEvidence(model, PoseMetric(model.scene))
 
     def touch(self, sides: Iterable[float], at: Poses = HERE, *, mixed: bool = False) -> None:
@@ -38,7 +141,7 @@ class Felt:
                 z = np.random.default_rng(self.contacts).permutation(z)
             scan = Observation(se2.compose(at, seen), z, np.ones(len(z), np.bool_))
             self.contacts += 1
-            self.memory = self.memory.plus(scan, self.contacts, self.log_z)
+            self.memory = plus(self.memory, scan, self.contacts, self.log_z)
             *_, self.log_z = self.weighed(at)
 
     def weighed(self, at: Poses = HERE) -> tuple[Hypotheses, float, float]:
@@ -82,23 +185,13 @@ def test_each_contact_that_is_explained_adds_evidence_of_the_object(felt: Felt) 
     assert other[-1] < 0.01
 
 
-def test_one_contact_does_not_tell_that_the_object_has_moved(felt: Felt) -> None:
+def test_a_contact_that_is_elsewhere_tells_of_a_move_but_not_the_first_one(felt: Felt) -> None:
     felt.touch(SIDES[:1])
-    for at in (HERE, THERE):
-        assert felt.weighed(at)[0].moved == 0.0
-
-
-def test_a_contact_that_is_elsewhere_tells_that_the_object_stands_no_more(felt: Felt) -> None:
-    felt.touch(SIDES[:5])
+    assert [felt.weighed(at)[0].moved for at in (HERE, THERE)] == [0.0, 0.0]
+    felt.touch(SIDES[1:5])
     assert felt.weighed()[0].stands > 0.8
     felt.touch(SIDES[:1], THERE)
     assert felt.weighed()[0].stands < 0.5
-
-
-def test_a_belief_that_explains_all_since_a_move_has_the_object_and_it_has_moved(
-    felt: Felt,
-) -> None:
-    felt.touch(SIDES[:3])
     felt.touch(2 * SIDES, THERE)
     hypotheses, here, _ = felt.weighed(THERE)
     assert hypotheses.moved > 0.9

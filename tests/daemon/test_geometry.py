@@ -5,12 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxeld.estimator.memory import Memory
+from taxeld.estimator.scans import ScanList
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.observation import Observation, ObservationModel
 
+from ..rig.memories import memory_of, plus
 from ..rig.scenes import DEPTH_MAX_M
 
 pose = st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-7, 7)).map(np.array)
@@ -58,12 +59,12 @@ def test_touches_are_explained_as_the_dense_model_says(box_model: ObservationMod
     rng = np.random.default_rng(0)
     noise = Noise()
     poses = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 700, rng).pose
-    memory, dense = Memory(box_model, noise), []
+    memory, dense = memory_of(box_model, noise), []
     for sensor in ([0.0, 0.0, 0.0], [0.01, -0.02, 1.0], [0.3, 0.0, 0.0]):
         seen = se2.compose(se2.inverse(np.array(sensor)), poses)
         h = box_model.activation(seen)
         z, live = noise.draw(h[3], rng), rng.random(h.shape[1]) < 0.8
-        memory = memory.plus(Observation(np.array(sensor), z, live))
+        memory = plus(memory, Observation(np.array(sensor), z, live))
         dense.append(noise.log_density(z, h) @ live.astype(float))
     assert np.allclose(memory.explain(poses), np.array(dense).T, atol=0.01)
     assert np.allclose(memory.explain_newest(poses), np.array(dense).T[:, -1], atol=0.01)
@@ -76,7 +77,8 @@ def test_silences_of_other_taxels_or_floors_tell_other_things(box_model: Observa
     """Whatever silence came before."""
     rng = np.random.default_rng(0)
     poses = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 100, rng).pose
-    taxels, everything = len(box_model.layout), Memory(box_model, Noise())
+    taxels, nothing = len(box_model.layout), memory_of(box_model, Noise())
+    scans = ScanList(box_model.links, Noise())
     all_live, half = np.ones(taxels, dtype=bool), np.arange(taxels) % 2 == 0
     for live, floor, residue in (
         (all_live, 0.02, 0.0),
@@ -87,14 +89,14 @@ def test_silences_of_other_taxels_or_floors_tell_other_things(box_model: Observa
         (all_live, 0.02, 0.0),
     ):
         silence = Observation(np.zeros(3), np.zeros(taxels), live, floor, residue)
-        everything, alone = everything.plus(silence), Memory(box_model, Noise()).plus(silence)
-        assert np.array_equal(everything.explain_newest(poses), alone.explain_newest(poses))
-        assert everything.anything[-1] == alone.anything[0]
+        one, alone = nothing.plus(scans.add(silence)), plus(nothing, silence)
+        assert np.array_equal(one.explain(poses), alone.explain(poses))
+        assert one.anything[0] == alone.anything[0]
 
 
 def test_a_dead_taxel_says_nothing(box_model: ObservationModel) -> None:
     dead = Observation(np.zeros(3), np.zeros(32), np.zeros(32, dtype=bool))
-    memory = Memory(box_model, Noise()).plus(dead)
+    memory = plus(memory_of(box_model, Noise()), dead)
     poses = np.array([[0.072, 0.0, 0.0], [0.09, 0.0, 0.0]])
     assert np.array_equal(memory.explain(poses), np.zeros((2, 1)))
 

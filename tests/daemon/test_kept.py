@@ -21,7 +21,8 @@ from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.history import MOVED, Used, scan_arrays, scans_of
+from taxeld.estimator.evidence import MOVED
+from taxeld.estimator.scans import ScanEvidence, Used, scan_arrays, scans_of
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.noise import Noise
@@ -56,7 +57,7 @@ class Run:
         return time.time() - self.skin._t
 
     def restore(self, scans: list[Used]) -> None:
-        self.estimator.restore(scans)
+        self.estimator.learn(scans, moved=True)
 
     def end(self) -> None:
         self.store.close()
@@ -129,7 +130,8 @@ def test_scans_with_and_without_noise_of_links_of_two_sizes_come_back() -> None:
     one = Observation(np.array([1.0, 2.0, 3.0]), np.zeros(3), np.ones(3, bool), 0.25)
     own = Noise(np.full(2, 0.5), np.full(2, 0.25), 0.125)
     two = Observation(np.zeros(3), np.array([0.5, 0.0]), np.array([True, False]), noise=own, link=1)
-    (first, number), (second, _) = scans_of(scan_arrays([(one, 3), (two, 4)]))
+    scans = [ScanEvidence(seen, 3, False, np.empty(0), 0.0, 0.0) for seen in (one, two)]
+    (first, number), (second, _) = scans_of(scan_arrays(scans))
     assert (number, first.noise, first.link, second.link) == (3, None, 0, 1)
     assert first.floor == pytest.approx(np.full(3, 0.25))
     assert second.noise is not None

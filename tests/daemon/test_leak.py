@@ -3,8 +3,7 @@
 import numpy as np
 
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.intake import Intake
-from taxeld.estimator.rule import EstimatorCounters
+from taxeld.estimator.news import EstimatorCounters, Intake
 from taxeld.layout.layout import Layout
 from taxeld.model.leak import CROSS_TALK, REACH_M, Leak
 from taxeld.model.noise import Noise

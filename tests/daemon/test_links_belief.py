@@ -1,6 +1,7 @@
 """Several links touch one object: one belief learns from all of them."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.likelihood import NumpyExplainer
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.observation import Activation, ObservationModel
@@ -58,13 +60,22 @@ def subject_of(model: ObservationModel) -> Estimator:
 
 
 def test_touches_of_two_links_find_one_object(model: ObservationModel) -> None:
+    """A contact has one number on all links, and a sure belief teaches each link of its own."""
     subject = subject_of(model)
     press(subject, model, [0, 1, 0, 1, 0, 1])
-    estimate = subject.estimate
+    estimate, memory = subject.estimate, subject.rule.memory
     assert estimate.contacts == 6
     assert estimate.status == Status.CONVERGED
-    off = subject.rule.metric.distance(estimate.map, OBJECT)
-    assert off < 0.01
+    assert subject.rule.metric.distance(estimate.map, OBJECT) < 0.01
+    assert memory.link[memory.contact].tolist() == [0, 1, 0, 1, 0, 1]
+    assert memory.number[memory.contact].tolist() == [1, 2, 3, 4, 5, 6]
+    lessons = [subject.taught(4, link) for link in (0, 1)]
+    assert all(lesson is not None and len(lesson.z) >= 3 for lesson in lessons)
+    assert subject.taught(4, 1) is None
+    numpy = [NumpyExplainer(each, memory.skin.noise) for each in model.links]
+    slow = replace(memory, skin=replace(memory.skin, explainers=numpy))
+    poses = subject.rule.belief.pose
+    assert np.isclose(slow.explain(poses), memory.explain(poses), atol=0.01).mean() > 0.99
 
 
 def test_a_link_that_never_touches_changes_nothing(model: ObservationModel) -> None:
@@ -77,14 +88,6 @@ def test_a_link_that_never_touches_changes_nothing(model: ObservationModel) -> N
     assert one.estimate.p == two.estimate.p
 
 
-def test_a_contact_has_one_number_on_all_links(model: ObservationModel) -> None:
-    subject = subject_of(model)
-    press(subject, model, [1, 0, 1])
-    memory = subject.rule.memory  # type: ignore[attr-defined]
-    assert memory.link[memory.contact].tolist() == [1, 0, 1]
-    assert memory.number[memory.contact].tolist() == [1, 2, 3]
-
-
 def test_links_of_other_sizes_are_remembered_together() -> None:
     big, small = layouts.load(RING), layouts.load(RING.replace("rows=5", "rows=3"))
     scene = bundle.load("box", big).model.scene
@@ -95,29 +98,6 @@ def test_links_of_other_sizes_are_remembered_together() -> None:
     assert subject.rule.metric.distance(subject.estimate.map, OBJECT) < 0.01
 
 
-def test_numpy_explains_scans_of_two_links_as_c_does(
-    model: ObservationModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    subject = subject_of(model)
-    press(subject, model, [0, 1, 1])
-    memory, poses = subject.rule.memory, subject.rule.belief.pose  # type: ignore[attr-defined]
-    fast = memory.explain(poses)
-    memory = memory.only(np.ones(len(memory), dtype=np.bool_))
-    monkeypatch.setattr(memory, "_compiled", [None, None])
-    assert np.isclose(memory.explain(poses), fast, atol=0.01).mean() > 0.99
-
-
-def test_a_sure_belief_teaches_each_link_of_its_own_contacts(model: ObservationModel) -> None:
-    subject = subject_of(model)
-    press(subject, model, [0, 1, 0, 1, 0, 1])
-    first, second = subject.taught(4, 0), subject.taught(4, 1)
-    assert first is not None
-    assert second is not None
-    assert len(first.z) >= 3
-    assert len(second.z) >= 3
-    assert subject.taught(4, 1) is None
-
-
 def test_a_link_that_falls_silent_in_a_touch_touches_nothing_any_more(
     model: ObservationModel,
 ) -> None:
@@ -126,10 +106,13 @@ def test_a_link_that_falls_silent_in_a_touch_touches_nothing_any_more(
     seen = se2.compose(se2.inverse(sensor), OBJECT)
     z = model.links[1].activation(seen[None])[0]
     live = np.ones(len(z), dtype=np.bool_)
-    for t in (0.0, 0.05):
-        subject.on_scan(Activation(t, z, live), sensor, 1)
-    assert subject.estimate.contact
-    subject.on_scan(Activation(0.5, 0.0 * z, live), sensor + AWAY, 0)
-    assert subject.estimate.contact
-    subject.on_scan(Activation(2.0, 0.0 * z, live), sensor + AWAY, 0)
-    assert not subject.estimate.contact
+    found = [
+        subject.on_scan(Activation(t, pressed * z, live), sensor + away, link).contact
+        for t, pressed, away, link in (
+            (0.0, 1.0, 0.0, 1),
+            (0.05, 1.0, 0.0, 1),
+            (0.5, 0.0, AWAY, 0),
+            (2.0, 0.0, AWAY, 0),
+        )
+    ]
+    assert found == [True, True, True, False]

@@ -1,9 +1,9 @@
-"""Which scans count."""
+"""Which scans count, and which taxels of them."""
 
 import numpy as np
 import pytest
 
-from taxeld.estimator.news import News
+from taxeld.estimator.news import News, Stuck
 from taxeld.model.observation import Observation
 
 LIVE = np.ones(4, dtype=bool)
@@ -61,3 +61,30 @@ def test_a_flicker_does_not_begin_a_contact() -> None:
     assert not news.contact
     news.on_scan(1.1, feel(0.5))
     assert news.contacts == 2
+
+
+VARIES = np.clip(0.5 + 0.02 * np.random.default_rng(0).standard_normal((200, 2)), 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("readings", "moved_m", "stuck"),
+    [
+        pytest.param([[1.0, 0.0]] * 6, 0.03, [0, 0, 0, 0, 1, 1], id="the same on a long way"),
+        pytest.param([[0.5]] * 6 + [[0.52]] * 2, 0.03, [0] * 4 + [1, 1, 0, 0], id="it changes"),
+        pytest.param([[0.8, 0.4]] * 1000, 0.0, [0] * 1000, id="a touch is held"),
+        pytest.param([[0.0, 0.0]] * 20, 0.1, [0] * 20, id="silence"),
+        pytest.param(VARIES.tolist(), 0.005, [0] * 200, id="a press varies on its way"),
+        pytest.param([[0.5]] * 3 + [[]] + [[0.5]] * 6, 0.03, [0] * 8 + [1, 1], id="a release"),
+    ],
+)
+def test_a_taxel_that_reads_the_same_wherever_the_skin_goes_is_stuck(
+    readings: list[list[float]], moved_m: float, stuck: list[int]
+) -> None:
+    subject, found = Stuck(len(readings[0])), []
+    for z in readings:
+        if z:
+            found.append(int(subject.on_scan(np.array(z), moved_m).sum()))
+        else:
+            subject.released()
+            found.append(0)
+    assert found == stuck

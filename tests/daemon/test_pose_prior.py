@@ -1,12 +1,13 @@
-"""A prior: what is none, what it does to a belief, and how touches refute it."""
+"""Priors: what is none, what they do to a belief, and how touches refute them."""
 
 import math
 
 import numpy as np
 import pytest
 
+from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import SURE, Status
-from taxeld.estimator.prior_term import PriorTerm, TableTop
+from taxeld.estimator.priors import FLOOR, BeliefPrior, PriorTerm
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld.prior import PosePrior, read_prior
@@ -57,7 +58,7 @@ def test_its_density_over_the_table_is_one_on_average(
     box_model: ObservationModel, theta: float | None
 ) -> None:
     metric = PoseMetric(box_model.scene)
-    made = PriorTerm(prior(theta=theta), TableTop(metric, (0.0, 0.0), 0.5, 0.0), 1)
+    made = PriorTerm(prior(theta=theta), metric, FilterConfig(half_width_m=0.5), 0.0, 1)
     rng = np.random.default_rng(0)
     poses = rng.uniform([-0.5, -0.5, -np.pi], [0.5, 0.5, np.pi], (400_000, 3))
     assert np.exp(made.log_density(poses)).mean() == pytest.approx(1.0, abs=0.1)
@@ -94,11 +95,27 @@ def test_touches_refute_a_wrong_one(box_model: ObservationModel, after: int) -> 
     subject.tell(prior(x=0.3))
     found = world.find(subject)
     assert subject.rule.metric.distance(found.map, TRUTH) < 0.005
-
-
-def test_one_that_is_elsewhere_does_not_move_a_sure_belief(box_model: ObservationModel) -> None:
-    _, subject = settled(box_model)
-    subject.tell(prior(x=0.3))
+    subject.tell(prior(x=0.3))  # one that is elsewhere does not move a sure belief
     found = subject.estimate
     assert found.hypotheses.stands > 0.9
     assert subject.rule.metric.distance(found.map, TRUTH) < 0.005
+
+
+SPREAD = np.array([0.003, 0.001, 0.05])
+
+
+def test_an_earlier_belief_is_the_gaussians_of_its_modes(box_model: ObservationModel) -> None:
+    """Each stands, equivalent poses are alike, and what it says against a pose is bounded."""
+    rng, metric = np.random.default_rng(0), PoseMetric(box_model.scene)
+    poses = rng.standard_normal((4000, 3)) * SPREAD
+    poses[2000:, 0] += 0.3
+    weight = np.full(len(poses), 1.0 / len(poses))
+    made = BeliefPrior(metric, poses, weight, metric.modes(poses, weight, 0.05, 5, 64))
+    at = np.array(
+        [[0, 0, 0], [0.003, 0, 0], [0, 0.002, 0], [0, 0, 0.1], [0.3, 0, 0], [0, 0, np.pi]]
+    )
+    lost = made.log_density(at)[0] - made.log_density(at)
+    assert np.allclose(lost, [0.0, 0.5, 1.6, 2.0, 0.0, 0.0], atol=0.3)
+    between, far = made.ceiling - made.log_density(np.array([[0.15, 0, 0], [9.0, 9.0, 1.0]]))
+    assert between > 10.0
+    assert far == pytest.approx(-np.log(FLOOR), abs=1e-6)

@@ -1,13 +1,14 @@
 """What a belief says in short: how sure it is, how far it may be off, and its status."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
-from taxeld.estimator.estimate import Hypotheses, Status
-from taxeld.estimator.verdict import UNMODELLED_M, Place, Verdict, placed, status
+from taxeld.estimator.estimate import UNMODELLED_M, Hypotheses, Status, Verdict, placed, status
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 
@@ -93,7 +94,7 @@ def test_status(
     box_model: ObservationModel, hypotheses: Hypotheses, p: float, expected: Status
 ) -> None:
     made = verdict(box_model, hypotheses=hypotheses)
-    made = Verdict(Place(made.place.summary, p, made.place.radius_m), 1.0, hypotheses)
+    made = Verdict(replace(made.place, within=p), 1.0, hypotheses)
     assert status(made, 3) is expected
     assert status(made, 0) is Status.SEARCHING
     assert status(made, 3, blind=True) is Status.BLIND

@@ -16,7 +16,7 @@ import pytest
 
 from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
-from taxeld.estimator.rule import noise_of
+from taxeld.estimator.scans import noise_of
 from taxeld.layout import read as layouts
 from taxeld.model.noise import Noise
 from taxeld.model.observation import ObservationModel

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator import mixture
+from taxeld.estimator import scans
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.rule import noise_of
+from taxeld.estimator.scans import noise_of
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import ANALYTIC
@@ -156,18 +156,18 @@ def test_the_grid_learns_from_the_scans_that_the_estimator_learns_from(
     grid = GridFilter(ring_model, methods.NOISE, follow.SLACK)
     monkeypatch.setattr(follow, "GridFilter", lambda *_: grid)
     follow.follow_grid(trial, ring_model, (3,))
-    monkeypatch.setattr(mixture, "REMEMBERED", 99)
+    monkeypatch.setattr(scans, "REMEMBERED", 99)
     config = FilterConfig(injected=0)
     estimator = Estimator(ring_model, ANALYTIC["manifold"](ring_model), config)
     for moment in trial:
         estimator.on_scan(moment.activation, moment.sensor)
-    memory = estimator.rule.memory  # type: ignore[attr-defined]
+    memory = estimator.rule.memory
     touches = [scan for scan in grid._scans if scan.touched]
     remembered = [k for k in range(len(memory)) if memory.contact[k]]
     assert len(grid._scans) == estimator.counters.updates
     assert [scan.contact for scan in touches] == memory.number[remembered].tolist()
     for scan, k in zip(touches, remembered, strict=True):
-        kept = memory.scan(k)
+        kept = memory.scans[k].observation
         assert np.allclose(scan.observation.z, kept.z)
         assert np.allclose(scan.observation.residue, kept.residue)
 

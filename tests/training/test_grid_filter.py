@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logsumexp
 
 from taxeld.arrays import Poses
-from taxeld.estimator.memory import Memory, Slack
+from taxeld.estimator.memory import Slack
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2, symmetry
 from taxeld.model.noise import Noise
@@ -19,6 +19,7 @@ from taxeld_training.limits.grid_likelihood import CellLikelihood, Evidence
 from taxeld_training.limits.posterior import energy_distance
 from taxeld_training.models.dataset import MIN_ACTIVATION
 
+from ..rig.memories import memory_of, plus
 from .rig import RING
 
 SKIN = layouts.load(RING)
@@ -100,7 +101,7 @@ def test_a_small_cell_has_the_likelihood_that_the_filters_memory_has(
     rng = situation(8)
     poses = contact_poses(model, 200, rng)
     slack = Slack(0.002, 0.001, scale)
-    known, evidence = Memory(model, NOISE, slack=slack), []
+    known, evidence = memory_of(model, NOISE, slack), []
     half = np.arange(len(SKIN)) % 2 > 0
     floor, residue = np.where(half, 0.2, 0.01), np.where(half, 0.1, 0.0)
     beside = (se2.IDENTITY, np.array([0.002, 0.003, 0.1]), np.array([-0.004, 0.002, -0.2]))
@@ -110,17 +111,17 @@ def test_a_small_cell_has_the_likelihood_that_the_filters_memory_has(
         z = NOISE.draw(model.activation(seen)[0], rng)
         live = rng.random(len(SKIN)) < 0.8
         scan = Observation(sensor, np.where(z < floor, 0.0, z), live, floor, residue)
-        known = known.plus(scan, contact)
+        known = plus(known, scan, contact)
         variance = float(slack.variance(np.array(2 - contact)))
         evidence.append(Evidence(scan, share, variance, touched=True))
     silent = Observation(se2.compose(SENSOR, beside[1]), np.zeros(len(SKIN)), LIVE, floor, residue)
-    known = known.plus(silent, 2)
+    known = plus(known, silent, 2)
     evidence.append(Evidence(silent, 1.0, float(slack.variance(np.array(0))), touched=False))
     ax, ay = contacts.axis_in_object(poses)
     mid = np.column_stack([ax, ay, poses[:, 2]])
     cells = Cells.unweighed(mid, np.tile(1e-8 * np.eye(3), (200, 1, 1)), np.zeros(200))
     CellLikelihood(model, NOISE).add(cells, evidence, SENSOR)
-    expected = known.explain(se2.compose(SENSOR, poses)) @ known.share
+    expected = known.explain(se2.compose(SENSOR, poses)) @ [0.5, 0.5, 1.0, 1.0]
     # but for poses at which a taxel that reads is just at the end of the band
     assert np.quantile(np.abs(cells.log_likelihood - expected), 0.98) < 0.002
     assert np.quantile(np.abs(cells.log_likelihood_max - expected), 0.98) < 0.002
@@ -134,9 +135,9 @@ def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel
     beside = se2.compose(first, se2.inverse(second * BACK))
     z = NOISE.draw(model.activation(first[None])[0], rng)
     scans = [Observation(np.zeros(3), z, LIVE), Observation(beside, np.zeros(len(SKIN)), LIVE)]
-    likelihood, known = CellLikelihood(model, NOISE), Memory(model, NOISE)
+    likelihood, known = CellLikelihood(model, NOISE), memory_of(model, NOISE)
     for scan in scans:
-        known = known.plus(scan)
+        known = plus(known, scan)
     cells = tile(model)
     for _ in range(6):
         cells = cells[rng.random(len(cells)) < 2000 / len(cells)]
@@ -159,12 +160,12 @@ def test_all_scans_count_as_in_a_brute_force_posterior(model: ObservationModel) 
         se2.compose(SENSOR, se2.compose(truth, se2.inverse(pose)))
         for pose in (truth * BACK, truth, other, other * BACK)
     ]
-    belief, scans = GridFilter(model, noise), Memory(model, noise)
+    belief, scans = GridFilter(model, noise), memory_of(model, noise)
     for k, sensor in enumerate(sensors):
         h = model.activation(se2.compose(se2.inverse(sensor), se2.compose(SENSOR, truth))[None])[0]
         z = noise.draw(h, rng)
         belief.update(Observation(sensor, z, LIVE), touched=k == 1)
-        scans = scans.plus(Observation(sensor, z, LIVE))
+        scans = plus(scans, Observation(sensor, z, LIVE))
     poses = se2.compose(sensors[1], band(model, 60_000, rng))
     log_w = scans.explain(poses).sum(axis=1)
     w = np.exp(log_w - log_w.max())
@@ -280,9 +281,9 @@ def test_offsets_residues_floors_and_shares_count_as_by_brute_force(
         error = sd_m * np.array([*situation(contact).standard_normal(2), 0.0])
         sensor = se2.compose(SENSOR, se2.inverse(pose)) + error
         scans.append((contact, Observation(sensor, z, LIVE, floor, residue)))
-    known = Memory(model, noise, slack=Slack(sd_m))
+    known = memory_of(model, noise, Slack(sd_m))
     for contact, scan in scans:
-        known = known.plus(scan, contact)
+        known = plus(known, scan, contact)
 
     # all poses at the strongest touch, less those that are out of the question
     strongest = max((scan for _, scan in scans), key=lambda scan: scan.z.sum())

@@ -4,7 +4,6 @@ import pytest
 
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import Mixture
 from taxeld.layout import read as layouts
 from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
@@ -28,7 +27,6 @@ def ends(
         for moment in Trial(loaded.model, seed, 8, given):
             estimate = estimator.on_scan(moment.activation, moment.sensor)
         error = 1e3 * add_m(loaded.model.scene, estimate.map, moment.truth)[1]
-        assert isinstance(estimator.rule, Mixture)
         found.append((error, estimator.rule.memory.slack.scale))
     return found
 

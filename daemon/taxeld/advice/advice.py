@@ -15,10 +15,8 @@ from taxeld.advice.lines import Lines, Reach
 from taxeld.advice.outcomes import Left, Outcomes
 from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimate import UNMODELLED_M, Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import Mixture
-from taxeld.estimator.verdict import UNMODELLED_M
 
 TRIED = 8  # lines that are judged by what would be read
 MOST = 3  # approaches of an advice
@@ -53,7 +51,7 @@ class Advisor:
 
     def __init__(self, estimator: Estimator, reach: Reach | None = None) -> None:
         """Raises SetupError where the estimator has the paper's rule, which remembers nothing."""
-        if not isinstance(estimator.rule, Mixture):
+        if estimator.config.injection == "paper":
             raise SetupError("advice: needs the memory of filter.injection = 'mixture'")
         self._estimator, self._reach = estimator, reach or Reach()
 

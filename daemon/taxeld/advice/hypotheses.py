@@ -40,7 +40,7 @@ def drawn(estimator: Estimator, rng: np.random.Generator) -> Guesses:
     """Guesses of the present belief: OWN of its particles, and FRESH ones."""
     bank = estimator.bank
     likely = bank.likely
-    share = bank.objects[likely] / bank.objects[likely].sum()
+    share = bank.odds.objects[likely] / bank.odds.objects[likely].sum()
     doubt = min(1.0 - estimator.estimate.p, DOUBT)
     poses, numbers, weights = [], [], []
 
@@ -68,10 +68,10 @@ def drawn(estimator: Estimator, rng: np.random.Generator) -> Guesses:
 
 def _fresh(estimator: Estimator, k: int, rng: np.random.Generator) -> Belief | None:
     """Samples of object k; None where it was not touched."""
-    rule, made = estimator.bank.mixtures[k], list[Belief]()
+    rule, made = estimator.bank.rules[k], list[Belief]()
     memory = rule.memory
     for scan in rng.permutation(np.flatnonzero(memory.contact))[:GROUPS].tolist():
-        samples = estimator.known[k].drawn(memory.scan(scan), GROUP, rng)
+        samples = estimator.known[k].drawn(memory.scans[scan].remembered, GROUP, rng)
         if len(samples):
             made.append(rule.opinion(samples, scan, rng, TEMPER))
     if not made:

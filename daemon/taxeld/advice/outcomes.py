@@ -80,7 +80,7 @@ class Outcomes:
         of, like = self._of, self._like[link]
         told = np.empty((len(z), len(of.weight)))
         for k in of.objects:
-            own, memory = of.object == k, self._estimator.bank.mixtures[k].memory
+            own, memory = of.object == k, self._estimator.bank.rules[k].memory
             told[:, own] = memory.foreseen(like, z, sensor, of.pose[own]).T
         return told
 
@@ -115,8 +115,8 @@ def _apart(estimator: Estimator, of: Guesses) -> Grid:
 
 def _like(estimator: Estimator, link: int) -> Observation:
     """A silent scan of a link: its last one, or else what its skin is known for."""
-    for observation, _ in reversed(estimator.history.scans):
-        if observation.link == link and not observation.is_contact:
-            return observation
+    for scan in reversed(estimator.scans.all):
+        if scan.observation.link == link and not scan.is_contact:
+            return scan.observation
     taxels = len(estimator.model.links[link].layout)
     return Observation(se2.IDENTITY, np.zeros(taxels), np.ones(taxels, np.bool_), link=link)

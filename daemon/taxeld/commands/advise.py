@@ -18,7 +18,7 @@ from taxeld.advice.lines import Reach
 from taxeld.commands import running
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
-from taxeld.estimator.history import Arrays, scans_of
+from taxeld.estimator.scans import Arrays, scans_of
 from taxeld.model import se2
 from taxeld.service.prepare import prepared
 
@@ -48,7 +48,7 @@ class Adviser:
         if memory["digest"].item() != self._estimator.digest:
             raise SetupError(OTHER)
         self._estimator.reset()
-        self._estimator.relearn(scans_of(memory))
+        self._estimator.learn(scans_of(memory))
         advice = self._advisor.advise()
         return replace(advice, approaches=tuple(map(self._as_robot, advice.approaches)))
 
@@ -62,7 +62,7 @@ class Adviser:
 
 
 def remembered(endpoint: str) -> Arrays:
-    """The scans that the daemon at a control endpoint remembers, as `estimator.history` packs them.
+    """The scans that the daemon at a control endpoint remembers, as `estimator.scans` packs them.
 
     Raises:
         SetupError: no daemon answers, or it has felt nothing yet.

@@ -149,6 +149,8 @@ def _scene_faults(config: Config) -> Iterator[str]:
                 )
     if scene.bundle and scene.bundles:
         yield "scene.bundles: is given beside scene.bundle; keep one of the two"
+    if own.injection == "paper" and own.motion == "push":
+        yield "filter.motion: 'push' needs filter.injection = 'mixture'"
     if len(scene.names) > 1 and own.injection == "paper":
         yield "filter.injection: 'paper' knows one object: name one scene.bundle"
     if len(scene.names) > 1 and own.motion == "push":

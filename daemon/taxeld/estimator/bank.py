@@ -11,18 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Poses
 from taxeld.estimator import injection
-from taxeld.estimator.estimate import MODES_MAX, Hypotheses
-from taxeld.estimator.evidence import Odds, odds
-from taxeld.estimator.history import MOVED
+from taxeld.estimator.estimate import MODES_MAX, Hypotheses, Verdict
+from taxeld.estimator.evidence import MOVED, SWAPPED, odds
 from taxeld.estimator.mixture import Mixture
-from taxeld.estimator.rule import Draw, Rule
-from taxeld.estimator.runs import SWAPPED
-from taxeld.estimator.verdict import Verdict
+from taxeld.estimator.scans import ScanEvidence
 from taxeld.model import se2
 from taxeld.model.contacts import Proposal
-from taxeld.model.observation import Lesson, Observation, ObservationModel
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.symmetry import Mode
 from taxeld.prior import PosePrior
 
@@ -57,34 +54,27 @@ class Known:
 class Bank:
     """Beliefs about K objects, by the same rule."""
 
-    def __init__(self, rules: Sequence[Rule], draws: Sequence[Draw], first: int = 0) -> None:
+    def __init__(self, rules: Sequence[Mixture], first: int = 0) -> None:
         """`first`: the object that is followed until something is touched."""
-        self.rules, self._draws = list(rules), draws
+        self.rules = list(rules)
         self._followed = [first]
         self.ruled_out: set[int] = set()
         self.due: list[int] = []  # to be tried on what is remembered, the likeliest first
         self._restarted = -1  # number of the last contact that an earlier daemon felt
         self._best_before = np.zeros(len(rules))  # log evidence of the best when each was tried
-        self._later: list[list[tuple[Observation, int]]] = [[] for _ in rules]  # not learned yet
+        self._later: list[list[ScanEvidence]] = [[] for _ in rules]  # not learned yet
         self._contact = self._touches = 0  # number of the last contact, and how many there were
-        self.mixtures = [rule for rule in rules if isinstance(rule, Mixture)]
-        for rule in self.mixtures:
-            rule.memory.readers = self.mixtures[0].memory.readers
         self.best = first
         self._weigh()
 
     @property
-    def rule(self) -> Rule:
-        """The rule of the likeliest object."""
+    def rule(self) -> Mixture:
+        """The belief about the likeliest object."""
         return self.rules[self.best]
 
     @property
-    def objects(self) -> Floats:
-        """(K,) probabilities of the objects."""
-        return self.odds.objects
-
-    @property
     def verdict(self) -> Verdict:
+        """Where the likeliest object is, and how likely."""
         here, left = float(self.odds.here[self.best]), self.odds.hypotheses
         if self._contact <= self._restarted:  # no touch since says that it was not moved
             here *= 1.0 - MOVED
@@ -96,19 +86,19 @@ class Bank:
         """All so far, up to this contact, was felt by an earlier daemon: the object may have been
         moved since."""
         self._restarted = contact
-        for rule in self.mixtures:
-            rule.memory.moves = {contact + 1: float(np.log(MOVED))}
+        for rule in self.rules:
+            rule.memory = replace(rule.memory, moves={contact + 1: float(np.log(MOVED))})
 
     def modes(self) -> tuple[Mode, ...]:
         """The heaviest modes of all objects; those of the likeliest object come first."""
-        own = self.rule.place.summary.modes
+        own = self.rule.place.modes
         if len(self.rules) == 1:
             return own
-        share = self.objects / self.objects.sum()
+        share = self.odds.objects / self.odds.objects.sum()
         every = [
             replace(mode, weight=float(share[k]) * mode.weight, object=k)
             for k in self.likely
-            for mode in self.rules[k].place.summary.modes
+            for mode in self.rules[k].place.modes
         ]
         rest = sorted(every[len(own) :], key=lambda mode: -mode.weight)
         return (*every[: len(own)], *rest)[:MODES_MAX]
@@ -116,50 +106,45 @@ class Bank:
     @property
     def likely(self) -> list[int]:
         """The likeliest object, and others that are not much less likely."""
-        others = (k for k in self._by_odds() if k != self.best and self.objects[k] >= DOUBTED)
-        return [self.best, *others]  # one that is yet to be tried may seem likelier
+        others = (k for k in self._by_odds() if k != self.best)
+        # one that is yet to be tried may seem likelier
+        return [self.best, *(k for k in others if self.odds.objects[k] >= DOUBTED)]
 
     def follow(self, before: Observation, after: Observation) -> None:
         """Move the beliefs with an object that is pushed from one scan to the next."""
         for k in self._followed:
             self.rules[k].follow(before, after)
 
-    def learn(self, observation: Observation, contacts: int) -> tuple[int, float]:
-        """As `Rule.learn`; the log evidence is of the object that was the likeliest before."""
+    def take(self, scan: ScanEvidence) -> tuple[int, float]:
+        """Learn from a scan; → the number of samples injected, and the scan's log evidence for the
+        object that was the likeliest before."""
         injected, evidence = 0, 0.0
-        before, is_new = (
-            self.rule.weighed.log_z,
-            observation.is_contact and contacts > self._contact,
-        )
+        before, is_new = self.rule.weighed.log_z, scan.is_contact and scan.number > self._contact
         passed = {*self._followed, *self.ruled_out}
         waiting = [k for k in self._by_odds() if k not in passed]
         if self._touches:
             for k in waiting:
-                self._later[k] = [*self._later[k], (observation, contacts)][-LATER_MAX:]
+                self._later[k] = [*self._later[k], scan][-LATER_MAX:]
         for k in self._followed:
-            samples, told = self.rules[k].learn(observation, contacts, self._draws[k])
+            samples, told = self.rules[k].take(scan)
             injected += samples
             evidence = told if k == self.best else evidence
         if is_new:
-            self._contact = contacts
+            self._contact = scan.number
             self._touches += 1
             self._best_before[[k for k in waiting if k not in self.due]] = before
             self.due = waiting
         self._weigh()
-        if is_new and self._is_doubted:
+        # whether no likely object explains the contacts
+        if is_new and self._touches > 1 and self.odds.hypotheses.stands < 0.5:
             self.due += sorted(self.ruled_out)
         return injected, evidence
 
     def tell(self, pose: PosePrior, contacts: int, of: Sequence[int]) -> None:
-        """Take a prior of the objects `of`."""
-        for k, rule in enumerate(self.mixtures):
-            if k in of:
-                rule.tell(pose, contacts)
+        """Take a prior of the objects `of`, after this number of contacts."""
+        for k in of:
+            self.rules[k].tell(pose, contacts)
         self._weigh()
-
-    def expected(self, after: int, link: int) -> Lesson | None:
-        """As `Rule.expected`, of the likeliest object."""
-        return self.rule.expected(after, link)
 
     @property
     def is_behind(self) -> bool:
@@ -178,19 +163,14 @@ class Bank:
         if self.due:
             samples = self._try(self.due.pop(0))
         elif (k := self._opens()) is not None:
-            samples = self.rules[k].revisit(self._draws[k])
+            samples = self.rules[k].revisit()
         if samples:
             self._weigh()
         return samples
 
-    @property
-    def _is_doubted(self) -> bool:
-        """Whether no likely object explains the contacts."""
-        return self._touches > 1 and self.odds.hypotheses.stands < 0.5
-
     def _by_odds(self) -> list[int]:
         """All objects, the likeliest first."""
-        return sorted(range(len(self.rules)), key=lambda k: -self.objects[k])
+        return sorted(range(len(self.rules)), key=lambda k: -self.odds.objects[k])
 
     def _opens(self) -> int | None:
         """The likeliest followed object whose belief is open to a second opinion."""
@@ -200,15 +180,14 @@ class Bank:
     def _try(self, k: int) -> int:
         """Have an object explain the scans that it has not learned from; → the number of samples
         used."""
-        rule, later = self.mixtures[k], self._later[k]
-        self._later[k] = []
+        rule, later, self._later[k] = self.rules[k], self._later[k], []
         if k in self.ruled_out or not later:
-            return rule.adopt(self.mixtures[self.best].memory, self._draws[k])
-        return sum(rule.learn(*scan, self._draws[k])[0] for scan in later)
+            return rule.adopt(self.rule.memory)
+        return sum(rule.take(scan)[0] for scan in later)
 
     def _weigh(self) -> None:
         """Find how likely each object is, which ones to follow, and which are ruled out."""
-        best, untried = self.rules[self.best].weighed, set(self.due) - self.ruled_out
+        best, untried = self.rule.weighed, set(self.due) - self.ruled_out
         # an object that is yet to be tried is as likely as it was, in relation to the best
         each = [
             rule.weighed.shifted(best, self._best_before[k]) if k in untried else rule.weighed
@@ -216,18 +195,18 @@ class Bank:
         ]
         if not self._touches:
             each = [best] * len(each)
-        self.odds: Odds = odds(each)
+        self.odds = odds(each)
         if len(each) == 1:
             return
         tried = [k for k in self._by_odds() if k not in untried]
         if self._touches:
             self._followed, self.best = tried[:FOLLOWED], tried[0]
         if self._touches > 1:
-            self.ruled_out = {k for k in tried[1:] if self.objects[k] < RULED_OUT}
+            self.ruled_out = {k for k in tried[1:] if self.odds.objects[k] < RULED_OUT}
             self._followed = [k for k in self._followed if k not in self.ruled_out]
         any_known = float(np.logaddexp.reduce([one.log_z for one in each])) - np.log(len(each))
-        share = self.objects / self.objects.sum()
-        for k, rule in enumerate(self.mixtures):
+        share = self.odds.objects / self.odds.objects.sum()
+        for k, rule in enumerate(self.rules):
             rule.share = float(share[k])
             if k not in untried:  # another object may have been here before
                 rule.log_z = float(np.logaddexp(each[k].log_z, any_known + SWAPPED))

@@ -1,7 +1,7 @@
-"""`Memory.explain` in C (explain.c), used where it was compiled (`taxeld.native`).
+"""The `Explainer` in C (explain.c), used where it was compiled (`taxeld.native`).
 
-It computes the same as the numpy code of memory.py, without temporary arrays, and equals it but for
-rounding.
+It computes the same as the numpy code of likelihood.py, without temporary arrays, and equals it but
+for rounding.
 """
 
 import ctypes
@@ -13,12 +13,13 @@ import numpy as np
 
 from taxeld import native
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses
-from taxeld.estimator import offsets
+from taxeld.estimator import likelihood
+from taxeld.estimator.likelihood import Explain, Explainer, NumpyExplainer
 from taxeld.model.noise import BOWLING, FARTHEST_SD, Noise
 from taxeld.model.observation import BAND_M, ObservationModel
 from taxeld.model.response import FARTHEST_RATES, LEAST_RATE
 
-FIELDS = 8  # fields of `memory.Kept` that the C code reads
+FIELDS = 8  # of `scans.Field`, the first ones, that the C code reads
 LANES = 8  # lanes of the C code's vectors
 
 
@@ -39,13 +40,6 @@ class _Scans(ctypes.Structure):
         *((name, c_void_p) for name in ("kept", "sensor", "variance", "silent")),
         ("scans", c_int64),
     ]
-
-
-class Scans(NamedTuple):
-    """Scans in the layout of the C code."""
-
-    told: _Scans
-    held: tuple[object, ...]  # arrays that the pointers point into, kept alive
 
 
 class _Runs(NamedTuple):
@@ -74,7 +68,7 @@ def _runs(model: ObservationModel) -> _Runs:
     return _Runs(order, begins, np.diff(begins, append=len(order)), place[begins], height[begins])
 
 
-class Compiled:
+class CompiledExplainer:
     """The C code for one model and noise."""
 
     def __init__(self, library: ctypes.CDLL, model: ObservationModel, noise: Noise) -> None:
@@ -103,10 +97,10 @@ class Compiled:
             cell=scene.cell,
             depth_max=model.depth_max_m,
             band=BAND_M,
-            hidden=offsets.HIDDEN,
-            robust=offsets.ROBUST,
-            least_variance=offsets.LEAST_M2,
-            iterations=offsets.ITERATIONS,
+            hidden=likelihood.HIDDEN,
+            robust=likelihood.ROBUST,
+            least_variance=likelihood.LEAST_M2,
+            iterations=likelihood.ITERATIONS,
             outliers=noise.outliers,
             least=noise.least,
             farthest=FARTHEST_SD,
@@ -116,39 +110,34 @@ class Compiled:
             farthest_rates=FARTHEST_RATES,
         )
 
-    def scans(self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Scans:
-        """Readings `kept` (FIELDS or more, K, M) taken at the sensor's poses (K, 3). `variance`
-        (K,) of the offsets is in m²; `silent` (K,)."""
-        shape = FIELDS, *kept.shape[1:]
+    def of(self, fields: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Explain:
+        shape = FIELDS, *fields.shape[1:]
         laid = np.zeros(math.prod(shape) + LANES, np.float32)
         out = laid[:-LANES].reshape(shape)
-        np.take(kept[:FIELDS], self._order, axis=2, out=out, mode="clip")  # avoids a copy
-        told = _Scans(
-            laid.ctypes.data,
-            sensor.ctypes.data,
-            variance.ctypes.data,
-            silent.ctypes.data,
-            len(sensor),
-        )
-        return Scans(told, (laid, sensor, variance, silent))
+        np.take(fields[:FIELDS], self._order, axis=2, out=out, mode="clip")  # avoids a copy
+        held = laid, sensor, variance, silent  # arrays that the pointers point into, kept alive
+        scans = _Scans(*(array.ctypes.data for array in held), len(sensor))
 
-    def explain(self, scans: Scans, poses: Poses) -> Floats:
-        """K scans and poses (N, 3) → (N, K), as memory.py computes them."""
-        poses = np.ascontiguousarray(poses)
-        out = np.empty((len(poses), scans.told.scans))
-        failed = self._explain(
-            ctypes.byref(self._model),
-            ctypes.byref(scans.told),
-            c_void_p(poses.ctypes.data),
-            c_int64(len(poses)),
-            c_void_p(out.ctypes.data),
-        )
-        if failed:
-            raise MemoryError("no memory to explain scans in")
-        return out
+        def explained(poses: Poses) -> Floats:
+            poses = np.ascontiguousarray(poses)
+            found = np.empty((len(poses), len(held[1])))
+            failed = self._explain(
+                ctypes.byref(self._model),
+                ctypes.byref(scans),
+                c_void_p(poses.ctypes.data),
+                c_int64(len(poses)),
+                c_void_p(found.ctypes.data),
+            )
+            if failed:
+                raise MemoryError("no memory to explain scans in")
+            return found
+
+        return explained
 
 
-def compiled(model: ObservationModel, noise: Noise) -> Compiled | None:
-    """The C code for this model; None where it was not compiled, so that numpy does the work."""
+def explainer(model: ObservationModel, noise: Noise) -> Explainer:
+    """The C code for this model, or numpy where it was not compiled."""
     library = native.library("estimator/explain")
-    return None if library is None else Compiled(library, model, noise)
+    if library is None:
+        return NumpyExplainer(model, noise)
+    return CompiledExplainer(library, model, noise)

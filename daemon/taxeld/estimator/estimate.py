@@ -1,12 +1,16 @@
-"""The estimate: the belief in short, and its status."""
+"""The estimate: the belief in short, in probabilities, and the status that they make."""
 
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
+import numpy as np
+
 from taxeld.arrays import Poses
+from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.particles import Belief
+from taxeld.model.noise import normal_cdf
 from taxeld.model.symmetry import Mode, PoseMetric
 
 # Lengths are for an object of 0.05 m mean radius; they scale with the object.
@@ -15,6 +19,7 @@ MODES_MAX = 5
 MODE_CANDIDATES = 32
 SURE = 0.99  # least p of a converged estimate
 SEARCHING_WEIGHT = 0.2  # least weight of the heaviest mode: a lighter one is not worth reporting
+UNMODELLED_M = 0.002  # sd of the pose beside the belief's own: robot, foam and shape err unmodelled
 
 
 class Status(IntEnum):
@@ -49,17 +54,6 @@ class Hypotheses(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
-    """Place and spread of the belief, up to the object's symmetry."""
-
-    modes: tuple[Mode, ...]  # heaviest first; equivalent poses are one mode
-    mean: Poses  # (3,)
-    cov: Poses  # (3, 3) about the mean
-    ess: float
-    particles: int
-
-
-@dataclass(frozen=True, slots=True)
 class Estimate:
     """The belief in short; poses are of the object in the world."""
 
@@ -83,9 +77,57 @@ class Estimate:
     log_evidence: float  # log evidence of this scan; 0 where nothing was learned from it
 
 
-def summarise(belief: Belief, metric: PoseMetric) -> Summary:
-    weight = belief.weight
-    radius_m = MODE_RADIUS_M * metric.scale
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a belief has its object, up to the object's symmetry."""
+
+    modes: tuple[Mode, ...]  # heaviest first; equivalent poses are one mode
+    mean: Poses  # (3,)
+    cov: Poses  # (3, 3) about the mean
+    ess: float
+    particles: int
+    within: float  # probability that it is within `filter.within_m` of the heaviest mode
+    radius_m: float  # it is farther with probability `filter.risk` at most
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The published object's place, and how sure it is."""
+
+    place: Place
+    here: float  # probability that it is this object, where the belief has it
+    hypotheses: Hypotheses
+
+    @property
+    def p(self) -> float:
+        return self.here * self.place.within
+
+
+def placed(belief: Belief, metric: PoseMetric, config: FilterConfig) -> Place:
+    """The place of an object that is where its belief has it."""
+    weight, radius_m = belief.weight, MODE_RADIUS_M * metric.scale
     modes = metric.modes(belief.pose, weight, radius_m, MODES_MAX, MODE_CANDIDATES)
     mean, cov = metric.mean(belief.pose, weight, modes[0].pose)
-    return Summary(tuple(modes), mean, cov, pf.effective_sample_size(belief), len(belief))
+    off = metric.distance(belief.pose, modes[0].pose)
+    within = float(weight @ normal_cdf((config.within_m - off) / UNMODELLED_M))
+    tail = float(np.sqrt(-np.log(config.risk)))  # of a Gaussian in the plane, in root-mean-squares
+    spread_m = float(np.hypot(np.sqrt(weight @ off**2), UNMODELLED_M))
+    radius_m = max(float(off.max()) + tail * UNMODELLED_M, tail * spread_m)
+    ess = pf.effective_sample_size(belief)
+    return Place(tuple(modes), mean, cov, ess, len(belief), within, radius_m)
+
+
+def status(verdict: Verdict, contacts: int, *, blind: bool = False) -> Status:
+    """The status after this number of contacts. `blind`: no taxel is live where the best pose
+    expects contact."""
+    if blind:
+        return Status.BLIND
+    if not contacts:
+        return Status.SEARCHING
+    if verdict.p >= SURE:
+        return Status.CONVERGED
+    stands, moved, other = verdict.hypotheses
+    if stands < max(moved, other):
+        return Status.INCONSISTENT
+    weak = verdict.place.modes[0].weight < SEARCHING_WEIGHT
+    return Status.SEARCHING if weak else Status.AMBIGUOUS

@@ -1,27 +1,63 @@
-"""The evidence of a belief, and of what may be instead: which hypothesis the readings are for.
+"""What is evidence for which hypothesis: the object stands, it has moved, or it is something else.
 
-All of it is in relation to readings without the object (`anything`). Where the object is not what
-is believed, nobody knows where it is, and contacts are explained one by one; so it is for something
-else. Each hypothesis may hold since any step: before, it was this object.
+The object may have moved between two contacts, so the newest pose explains the contacts from some
+*first* one on, its run. The belief's target is the sum over all first contacts; the evidence of all
+before one is a number (Bayesian change points, Adams & MacKay 2007). A contact may also mean
+nothing.
+
+All of it is in relation to readings without the object (`anything`). If another object was touched,
+its pose is unknown; each contact is then scored alone.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Bools, Floats
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import Hypotheses
 from taxeld.estimator.particles import Belief
-from taxeld.estimator.runs import Runs
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import CONTINUOUS
 from taxeld.model.symmetry import PoseMetric
 
+HAZARD = 2e-3  # probability that the object moved between two contacts
+MOVED = 0.05  # probability that the object was moved while no daemon ran
+SWAPPED = float(np.log(0.1))  # log share of the moves in which another known object took its place
+MEANINGLESS = 1e-3  # probability that a contact has nothing to do with the object
+LEAST = float(np.log(MEANINGLESS))
 FINE = np.array([0.004, 0.004, 0.06])  # m, m, rad: cells that measure the room that a belief takes
 OTHER = -1.0  # log odds of another object before anything is felt
 ALIKE = 3.0  # nats a contact after its first, by which another object explains itself better
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """K remembered scans in R steps: a contact, or the silence since the contact before."""
+
+    shares: Floats  # (terms, 2 R) a scan's share in its step's contact, then in its step's silence
+    usual: Floats  # (2 R,) log-likelihoods of the same without this object
+    touched: Bools  # (R,) whether a step has a contact
+    begun: Floats  # (R,) log prior of a run from each step on, with the evidence before it
+    open: Floats  # (R,) the same; −inf where silence alone would tell of a new pose
+    is_known: bool = False  # whether a prior tells where the object was before the first step
+
+    def each(self, explained: Floats) -> Floats:
+        """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""
+        touch, silence = np.hsplit(explained @ self.shares - self.usual, 2)
+        least = np.where(self.touched, LEAST, -np.inf)
+        met = np.logaddexp(touch, least) + silence
+        return np.asarray(met[:, ::-1].cumsum(axis=1)[:, ::-1] + self.open)
+
+    def support(self, explained: Floats) -> Floats:
+        """Log-density of poses, up to the uniform prior's: explained (N, terms) → (N,)."""
+        if not len(self.begun):  # nothing is remembered but a prior, if that
+            return np.asarray(explained.sum(axis=1))
+        each = self.each(explained)
+        top = each.max(axis=1)
+        return np.asarray(top + np.log(np.exp(each - top[:, None]).sum(axis=1)))
 
 
 class ObjectEvidence(NamedTuple):
@@ -57,10 +93,9 @@ class ModelEvidence:
         # an object is touched where the link's axis is beside its outline, at any yaw
         outline_m = float(np.linalg.norm(np.diff(scene.outline, axis=0), axis=1).sum())
         area = (outline_m + 2.0 * np.pi * model.layout.radius_m) * model.depth_max_m
-        turns = 2.0 * np.pi / max(scene.symmetry, 1)
-        cells = area / self._cell[:2].prod() * turns / self._cell[2]
-        if scene.symmetry == CONTINUOUS:
-            cells = area / self._cell[:2].prod()
+        cells = area / self._cell[:2].prod()
+        if scene.symmetry != CONTINUOUS:
+            cells = cells * (2.0 * np.pi / max(scene.symmetry, 1)) / self._cell[2]
         self._log_cells = float(np.log(cells))
         self.log_volume = self._log_cells + float(np.log(self._cell.prod()))
 
@@ -73,13 +108,16 @@ class ModelEvidence:
 
     def weighed(self, belief: Belief, runs: Runs) -> ObjectEvidence:
         """The evidence of a belief, and of what may be instead of it."""
-        found, stood = self.of(belief, runs), _stood(belief, runs)
+        found = self.of(belief, runs)
+        each = runs.each(belief.remembered)
+        each = np.exp(each - each.max(axis=1, keepdims=True))
+        stood = min(float(belief.weight @ (each[:, 0] / each.sum(axis=1))), 1.0)
+        if np.count_nonzero(runs.touched) < 2 and not runs.is_known:
+            return ObjectEvidence(found, -np.inf, np.array([OTHER]), stood, is_first=True)
         other: Floats = runs.begun.copy()
         other[0] += OTHER
         since = np.cumsum(runs.touched[::-1])[::-1]  # contacts since each step
         other += ALIKE * np.maximum(since - 1, 0)
-        if np.count_nonzero(runs.touched) < 2 and not runs.is_known:
-            return ObjectEvidence(found, -np.inf, np.array([OTHER]), stood, is_first=True)
         return ObjectEvidence(found, float(runs.begun[-1]), other[:-1], stood)
 
 
@@ -89,7 +127,6 @@ class Odds(NamedTuple):
     hypotheses: Hypotheses
     here: Floats  # (K,) it is this object, where its belief has it
     objects: Floats  # (K,) it is this object, wherever it is
-    log_z: float  # log evidence of all that may be, in relation to readings without an object
 
 
 def odds(each: Sequence[ObjectEvidence]) -> Odds:
@@ -100,25 +137,12 @@ def odds(each: Sequence[ObjectEvidence]) -> Odds:
     # something else since the first step has nothing to do with any object, so it counts once
     first = max((float(one[0]) for one in other), default=-np.inf)
     if any(w.is_first for w in each):
-        first += _log_sum(found) - apart
+        first += pf.log_sum_exp(found) - apart
     later = np.concatenate([one[1:] for one in other]) if other else np.empty(0)
     log_weight = np.concatenate([found - apart, gone - apart, [first], later - apart])
-    log_z = _log_sum(log_weight)
-    weight = np.exp(log_weight - log_z)
+    weight = np.exp(log_weight - pf.log_sum_exp(log_weight))
     here, away = weight[: len(each)], weight[len(each) : 2 * len(each)]
     stands = float(here @ stood)
     moved = float(here.sum() - stands + away.sum())
     left = Hypotheses(stands, moved, float(weight[2 * len(each) :].sum()))
-    return Odds(left, here, here + away, log_z)
-
-
-def _log_sum(values: Floats) -> float:
-    top = float(values.max())
-    return top + float(np.log(np.exp(values - top).sum()))
-
-
-def _stood(belief: Belief, runs: Runs) -> float:
-    """The share of the belief whose run goes back to the first step."""
-    each = runs.each(belief.remembered)
-    each = np.exp(each - each.max(axis=1, keepdims=True))
-    return min(float(belief.weight @ (each[:, 0] / each.sum(axis=1))), 1.0)
+    return Odds(left, here, here + away)

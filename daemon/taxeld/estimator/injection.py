@@ -1,12 +1,10 @@
-"""How samples of a contact enter the belief: by the paper's rule, or weighed against it.
+"""How samples of a contact enter the belief.
 
 A sample of p(q | contact) takes no other scan into account. The paper still gives it the mean
-weight, so a right belief can lose to samples that explain only the present contact. Here the
-samples are first *annealed* into a second opinion of the whole posterior, which is merged with the
-belief by its evidence.
+weight, so a right belief can lose to samples that explain only the present contact (`paper`). Here
+the samples are first *annealed* into a second opinion of the whole posterior, which is merged with
+the belief by its evidence.
 """
-
-from functools import partial
 
 import numpy as np
 
@@ -20,50 +18,36 @@ KEPT = 0.25  # share of the samples that remains effective after a stage of anne
 STAGES_MAX = 6  # the last stage takes all that is left
 
 
-def paper(belief: Belief, poses: Poses) -> None:
-    """Algorithm 1 of Marić et al. 2025: the lightest particles give way to samples (S, 3) of mean
-    weight; then the weights are normalised."""
-    n, count = len(belief), min(len(poses), len(belief))
-    if not count:
-        return
-    lowest = np.argpartition(belief.log_weight, count - 1)[:count]
-    belief.pose[lowest] = poses[:count]
-    belief.log_weight[lowest] = -np.log(n)  # weights sum to 1: their mean is 1 / N
-    pf.normalise(belief)
-
-
 def anneal(
-    samples: Belief,
+    samples: Poses,
     own: Support,
     support: Support,
     explain: Explain,
     rng: np.random.Generator,
     scale: float = 1.0,
 ) -> Belief:
-    """Bring equally weighted samples of log-density `own` to `support`. The difference is added by
-    degrees, and after each step the samples are drawn anew and moved (an SMC sampler, Del Moral et
-    al. 2006). A step is as large as leaves the share KEPT of them effective. `scale`: the object's
-    size over the usual.
+    """Bring equally likely samples (S, 3) of log-density `own` to `support`. The difference is
+    added by degrees, and after each step the samples are drawn anew and moved (an SMC sampler, Del
+    Moral et al. 2006). A step is as large as leaves the share KEPT of them effective. `scale`: the
+    object's size over the usual.
     """
-    n, degree = len(samples), 0.0
+    opinion, n, degree = pf.equal(samples, explain(samples)), len(samples), 0.0
+
+    def between(explained: Floats) -> Floats:
+        return np.asarray((1.0 - degree) * own(explained) + degree * support(explained))
+
     for stage in range(STAGES_MAX):
-        gain = support(samples.remembered) - own(samples.remembered)
+        gain = support(opinion.remembered) - own(opinion.remembered)
         left = 1.0 - degree
         step = left if stage == STAGES_MAX - 1 else _step(gain, left, KEPT * n)
-        samples.log_weight = step * gain
-        pf.normalise(samples)
-        samples = pf.resample(samples, n, rng)
+        opinion.log_weight = step * gain
+        pf.normalise(opinion)
+        opinion = pf.resample(opinion, n, rng)
         degree += step
-        now = partial(_between, own, support, degree)
-        pf.rejuvenate(samples, explain, now, rng, scale)
+        pf.rejuvenate(opinion, explain, between, rng, scale)
         if step == left:
             break
-    return samples
-
-
-def _between(own: Support, support: Support, degree: float, explained: Floats) -> Floats:
-    """(N,) log-density between two: explained is (N, terms)."""
-    return np.asarray((1.0 - degree) * own(explained) + degree * support(explained))
+    return opinion
 
 
 def merge(a: Belief, evidence_a: float, b: Belief, evidence_b: float) -> Belief:

@@ -1,4 +1,7 @@
-"""Which scans to learn from: a held contact must not sharpen the belief.
+"""Which scans to learn from, on one link: the usable ones that tell something new.
+
+A usable scan is finite, in order and in range; stuck taxels and leaked presses are left out. A held
+contact must not sharpen the belief:
 
 - A press is used once, when it stops deepening, because it is strongest then. A shorter tap is used
   by its strongest scan.
@@ -8,38 +11,109 @@
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from taxeld.arrays import Poses
-from taxeld.model.observation import Observation
+from taxeld.arrays import Bools, Floats, Poses
+from taxeld.model.observation import Activation, Observation, ObservationModel
+from taxeld.model.se2 import JUMP_M
 
 MOTION_M = 0.005  # a sensor that moved this far is at another place
 ACTIVATION = 0.5  # a taxel that rose this much is pressed differently
 RISING = 0.02  # growth of the strongest activation that shows a deepening press
 RELEASE_S = 0.15  # silence this long ends a contact: a flicker starts no new one
+SAME = 0.01  # share of full scale: a reading changes only by more than this
+WAY_M = 0.1  # m that the skin moves meanwhile: no press lasts unchanged over such a way
 
 
 @dataclass(slots=True)
-class ContactCount:
-    """Contacts begun so far, on all links."""
+class EstimatorCounters:
+    """Counters of scans and their use, since start."""
 
-    contacts: int = 0
+    scans: int = 0
+    updates: int = 0  # scans that were learned from
+    thoughts: int = 0  # second opinions that changed the belief
+    jumps: int = 0  # scans whose sensor pose is too far from the last, not used
+    stuck: int = 0  # scans in which a taxel read the same as ever, and was left out
 
 
-@dataclass(slots=True)
+class Intake:
+    """Makes observations of one link's activations."""
+
+    def __init__(self, model: ObservationModel, counters: EstimatorCounters, link: int = 0) -> None:
+        self._link = link
+        self.t = -np.inf  # time of the last usable scan [s]
+        self._counters = counters
+        self._radius_m = model.layout.radius_m
+        self._leak = model.leak
+        self._sensor: Poses | None = None
+        self._stuck = Stuck(len(model.layout))
+
+    def observation(self, activation: Activation, sensor: Poses) -> Observation | None:
+        """The observation at the sensor's pose (3,) in the world; None where the scan is of no
+        use."""
+        a, least, most = activation, float(activation.z.min()), float(activation.z.max())
+        if not self._is_usable(a.t, sensor, least, most):
+            return None
+        before, self._sensor, self.t = self._sensor, sensor, a.t
+        z, live, floor, residue = a.z, a.live, a.floor, a.residue
+        if least == most == 0.0:  # the usual case: nothing is stuck, and nothing leaks
+            self._stuck.released()
+        else:
+            moved = 0.0 if before is None else moved_m(before, sensor, self._radius_m)
+            z = np.clip(z, 0.0, 1.0)
+            stuck = self._stuck.on_scan(z, moved) & live
+            self._counters.stuck += bool(stuck.any())
+            live = live & ~stuck
+            z, floor, residue = self._leak.without(np.where(live, z, 0.0), floor, residue)
+        return Observation(sensor, z, live, floor, residue, a.noise, self._link, a.place_sd_m)
+
+    def _is_usable(self, t: float, sensor: Poses, least: float, most: float) -> bool:
+        """Whether time, pose (3,) and activations from `least` to `most` can be used."""
+        is_finite = all(map(math.isfinite, (t, least, most, *sensor.tolist())))
+        if not is_finite or t < self.t:
+            return False
+        before = self._sensor
+        if before is not None and math.dist(before[:2].tolist(), sensor[:2].tolist()) > JUMP_M:
+            self._counters.jumps += 1
+            self._sensor = sensor  # a far pose at which the sensor stays is believed next time
+            return False
+        return True
+
+
+class Stuck:
+    """Stuck taxels read the same wherever the skin goes, so they tell nothing of the world: follows
+    how far each taxel was carried while it read the same value above 0."""
+
+    def __init__(self, taxels: int) -> None:
+        self._z = np.zeros(taxels)
+        self._way_m = np.zeros(taxels)
+
+    def released(self) -> None:
+        """Take a scan in which nothing is read."""
+        self._z[:] = self._way_m[:] = 0.0
+
+    def on_scan(self, z: Floats, moved_m: float) -> Bools:
+        """Take activations z (M,) and the skin's motion since the scan before [m]; → (M,) which
+        taxels are stuck. A taxel that reads something else is free at once."""
+        same = (z > 0.0) & (np.abs(z - self._z) <= SAME)
+        self._way_m = np.where(same, self._way_m + moved_m, 0.0)
+        self._z = np.where(same, self._z, z)
+        return np.asarray(self._way_m > WAY_M)
+
+
 class News:
     """Follows the contacts of a skin of radius `radius_m`, and picks the scans to learn from."""
 
-    radius_m: float
-    contact: bool = False
-    tally: ContactCount = field(default_factory=ContactCount)
-    contacts: int = 0  # number of the last contact on this link
-    _used: Observation | None = None  # the last scan that was used
-    _strongest: float = 0.0  # the strongest activation of the previous scan
-    _pending: Observation | None = None  # the strongest scan of a press that is not used yet
-    _pressed_s: float = -np.inf  # time of the last scan with a pressed taxel [s]
+    def __init__(self, radius_m: float) -> None:
+        self._radius_m = radius_m
+        self.contact = False
+        self.contacts = 0  # contacts begun
+        self._used: Observation | None = None  # the last scan that was used
+        self._strongest = 0.0  # the strongest activation of the previous scan
+        self._pending: Observation | None = None  # strongest scan of a press that is not used yet
+        self._pressed_s = -np.inf  # time of the last scan with a pressed taxel [s]
 
     def on_scan(self, t: float, observation: Observation) -> Observation | None:
         """The scan to learn from now: this one, or the pending one that it ends; None: nothing
@@ -49,25 +123,20 @@ class News:
         self._strongest = strongest
         if strongest > 0.0:
             used = self._pressed(t, observation, rising=rising)
+        elif self._pending is not None:
+            used = self._ended()
+        elif t - self._pressed_s <= RELEASE_S:  # just released: neither contact nor free motion
+            used = None
         else:
-            used = self._silent(t, observation)
+            self.contact = False
+            used = observation if self._is_new(observation) else None
         self._used = used or self._used
         return used
-
-    def _silent(self, t: float, observation: Observation) -> Observation | None:
-        if self._pending is not None:
-            return self._ended()
-        if t - self._pressed_s <= RELEASE_S:  # just released: neither contact nor free motion
-            return None
-        self.contact = False
-        return observation if self._is_new(observation) else None
 
     def _pressed(self, t: float, observation: Observation, *, rising: bool) -> Observation | None:
         begun = not self.contact
         self.contact = True
-        if begun:
-            self.tally.contacts += 1
-            self.contacts = self.tally.contacts
+        self.contacts += begun
         self._pressed_s = t
         if begun or self._pending is not None:
             if self._pending is None or observation.z.max() > self._pending.z.max():
@@ -84,7 +153,7 @@ class News:
         used = self._used
         if used is None:
             return True
-        moved = moved_m(used.sensor, observation.sensor, self.radius_m) / MOTION_M
+        moved = moved_m(used.sensor, observation.sensor, self._radius_m) / MOTION_M
         risen = float((observation.z - used.z).max()) / ACTIVATION
         return moved + risen >= 1.0
 

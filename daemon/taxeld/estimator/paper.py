@@ -6,95 +6,65 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
-from taxeld.estimator.evidence import UNTOUCHED
 from taxeld.estimator.memory import Memory
-from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
-from taxeld.estimator.verdict import placed
-from taxeld.model.observation import Lesson, Observation, ObservationModel
-from taxeld.model.push import assumed, push
-from taxeld.model.symmetry import PoseMetric
+from taxeld.estimator.mixture import AGREED, Draw, Mixture
+from taxeld.estimator.particles import Belief
+from taxeld.estimator.scans import ScanEvidence
+from taxeld.model.observation import ObservationModel
+from taxeld.prior import PosePrior
 
 INJECTED_DECAY = 0.5  # samples of a contact, of those of the contact before
 
 
-class Paper:
-    """Algorithm 1: samples take the mean weight, and nothing is remembered but the newest scan."""
+class Paper(Mixture):
+    """Algorithm 1: samples take the mean weight, and nothing is remembered but the newest scan. No
+    hypothesis is known but that the object stands."""
 
     def __init__(
         self,
         model: ObservationModel,
         config: FilterConfig,
-        robot_m: float,  # noqa: ARG002  (the paper takes poses for exact)
+        robot_m: float,
         rng: np.random.Generator,
+        draw: Draw,
     ) -> None:
-        self._model, self._config, self._rng = model, config, rng
-        self._nothing = Memory(model, noise_of(config))
-        self.belief = anew(config, rng)
-        self.metric = PoseMetric(model.scene)
-        self.weighed, self.share = UNTOUCHED, 1.0  # the paper knows no other hypothesis
-        self._judge()
+        super().__init__(model, config, robot_m, rng, draw)
+        self.memory = Memory(self.memory.skin)  # the paper takes poses for exact
+        self._agreed = AGREED  # and its belief for the whole truth
 
-    @property
-    def is_open(self) -> bool:
-        return False  # nothing is remembered
-
-    def follow(self, before: Observation, after: Observation) -> None:
-        belief = self.belief
-        if not belief.ground.size:
-            belief.ground = assumed(len(belief), self._rng)
-        model = self._model.links[after.link]
-        belief.pose, pushed = push(
-            model,
-            self.metric,
-            belief.pose,
-            belief.ground,
-            before.sensor,
-            after.sensor,
-            float(after.z.max()) * model.depth_max_m,
-            self._rng,
-        )
-        if belief.weight @ pushed >= PUSHED_M:
-            self._judge()
-
-    def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
-        samples = drawn(draw, observation, self._wanted(contacts))
-        log_evidence = self.update(observation, samples)
-        self._judge()
-        return len(samples), log_evidence
-
-    def update(self, observation: Observation, samples: Poses) -> float:
-        """Learn from a scan and samples (S, 3) of it, without judging the result; → log
-        evidence."""
-        injection.paper(self.belief, samples)
-        memory = self._nothing.plus(replace(observation, place_sd_m=0.0))
-        self.belief.remembered = memory.explain(self.belief.pose)
+    def take(self, scan: ScanEvidence) -> tuple[int, float]:
+        """The number of samples falls with each contact to nothing: the paper's algorithm sets no
+        lower limit, so a belief that settled wrongly stays wrong."""
+        share = INJECTED_DECAY ** max(scan.number - 1, 0)
+        wanted = min(round(share * self._config.injected), len(self.belief))
+        samples = self._draw(scan.observation, wanted)
+        inject(self.belief, samples)
+        exact = replace(scan, observation=replace(scan.observation, place_sd_m=0.0))
+        self.belief.remembered = self.memory.plus(exact).explain(self.belief.pose)
         evidence = pf.reweight(self.belief, self.belief.remembered[:, 0])
         if evidence is None:
-            self.belief = anew(self._config, self._rng)
+            self.belief, evidence = pf.uniform(self._config, self._rng), 0.0
             if len(samples):
                 new = pf.equal(samples, np.empty((len(samples), 0)))
                 self.belief = pf.resample(new, len(self.belief), self._rng)
-            return 0.0
-        if pf.resampling_is_due(self.belief):
+        elif pf.resampling_is_due(self.belief):
             self.belief = pf.resample(self.belief, len(self.belief), self._rng)
-            pf.roughen(self.belief, self._rng, self.metric.scale)
-        return evidence
+            self.belief.pose = pf.roughened(self.belief.pose, self._rng, self.metric.scale)
+        self._place = None
+        return len(samples), evidence
 
-    def expected(self, _after: int, _link: int) -> Lesson | None:
-        return None
+    def tell(self, pose: PosePrior, contacts: int) -> None:
+        """The paper knows no prior."""
 
-    def revisit(self, draw: Draw) -> int:  # noqa: ARG002
-        """Nothing is remembered."""
-        return 0
 
-    def _judge(self) -> None:
-        self.place = placed(self.belief, self.metric, self._config)
-
-    def _wanted(self, contacts: int) -> int:
-        """Number of samples. It falls with each contact to nothing: the paper's algorithm sets no
-        lower limit, so a belief that settled wrongly stays wrong."""
-        config = self._config
-        share = INJECTED_DECAY ** max(contacts - 1, 0)
-        return min(round(share * config.injected), len(self.belief))
+def inject(belief: Belief, poses: Poses) -> None:
+    """The lightest particles give way to samples (S, 3) of mean weight; then the weights are
+    normalised."""
+    n, count = len(belief), min(len(poses), len(belief))
+    if not count:
+        return
+    lowest = np.argpartition(belief.log_weight, count - 1)[:count]
+    belief.pose[lowest] = poses[:count]
+    belief.log_weight[lowest] = -np.log(n)  # weights sum to 1: their mean is 1 / N
+    pf.normalise(belief)

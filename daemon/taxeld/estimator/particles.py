@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
+from taxeld.config.tables import FilterConfig
 from taxeld.model import se2
 
 Explain = Callable[[Poses], Floats]
@@ -64,13 +65,12 @@ class Belief:
         return np.exp(self.log_weight)
 
 
-def uniform(
-    n: int, centre_m: tuple[float, float], half_width_m: float, rng: np.random.Generator
-) -> Belief:
-    """n equally weighted poses, uniform over a square and all turns, without memory."""
-    low = np.array([centre_m[0] - half_width_m, centre_m[1] - half_width_m, -np.pi])
-    high = np.array([centre_m[0] + half_width_m, centre_m[1] + half_width_m, np.pi])
-    return equal(rng.uniform(low, high, (n, 3)), np.empty((n, 0)))
+def uniform(config: FilterConfig, rng: np.random.Generator) -> Belief:
+    """A belief that knows nothing: poses over `filter`'s square and all turns, without memory."""
+    (x, y), half_m = config.centre_m, config.half_width_m
+    low, high = [x - half_m, y - half_m, -np.pi], [x + half_m, y + half_m, np.pi]
+    poses = rng.uniform(low, high, (config.particles, 3))
+    return equal(poses, np.empty((config.particles, 0)))
 
 
 def equal(pose: Poses, remembered: Floats, ground: Floats | None = None) -> Belief:
@@ -88,7 +88,7 @@ def effective_sample_size(belief: Belief) -> float:
 
 def normalise(belief: Belief) -> float:
     """Make the weights sum to 1; → the logarithm of their sum before."""
-    log_sum = _log_sum_exp(belief.log_weight)
+    log_sum = log_sum_exp(belief.log_weight)
     belief.log_weight = belief.log_weight - log_sum
     return log_sum
 
@@ -121,10 +121,11 @@ def resample(belief: Belief, n: int, rng: np.random.Generator) -> Belief:
     return equal(*(each.take(drawn, axis=0) for each in of_each))
 
 
-def roughen(belief: Belief, rng: np.random.Generator, scale: float = 1.0) -> None:
-    """Separate the copies that resampling made, by random steps."""
-    belief.pose = belief.pose + _random_steps(len(belief), rng, scale)
-    belief.pose[:, 2] = se2.wrap(belief.pose[:, 2])
+def roughened(poses: Poses, rng: np.random.Generator, scale: float) -> Poses:
+    """Poses (N, 3), separated by random steps."""
+    poses = poses + _random_steps(len(poses), rng, scale)
+    poses[:, 2] = se2.wrap(poses[:, 2])
+    return poses
 
 
 def rejuvenate(
@@ -195,6 +196,7 @@ def enough(cells: int) -> int:
     return int(np.ceil(k / (2.0 * KLD_ERROR) * root**3))
 
 
-def _log_sum_exp(values: Floats) -> float:
+def log_sum_exp(values: Floats) -> float:
+    """log Σ exp(values)."""
     top = values.max()
     return float(top + np.log(np.exp(values - top).sum()))

@@ -17,8 +17,8 @@ from taxeld.config.tables import Config
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.history import Used
-from taxeld.estimator.rule import EstimatorCounters
+from taxeld.estimator.news import EstimatorCounters
+from taxeld.estimator.scans import Used
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Activation, ObservationModel
@@ -213,10 +213,7 @@ class Pipeline:
         propose_ns = filter_ns = 0
         if activation is not None and sensor is not None and self._estimator is not None:
             began_ns, spent_ns = clock(), self.samples.spent_ns
-            if self.thinks_at_once:
-                self._estimator.on_scan(activation, sensor, link)
-            else:
-                self._estimator.learn(activation, sensor, link)
+            self._estimator.on_scan(activation, sensor, link, thinks=self.thinks_at_once)
             propose_ns = self.samples.spent_ns - spent_ns
             filter_ns = clock() - began_ns - propose_ns
             self._t = self._estimator.estimate.t
@@ -275,7 +272,7 @@ class Pipeline:
 
     def restore(self, scans: Sequence[Used]) -> None:
         """Learn again from what an earlier daemon has felt."""
-        self.estimator.restore(scans)
+        self.estimator.learn(scans, moved=True)
 
     def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
         """Take a prior of the objects numbered `of`, else of any; → why it cannot be taken, empty

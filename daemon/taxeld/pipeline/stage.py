@@ -10,7 +10,7 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import Config
-from taxeld.estimator.rule import noise_of
+from taxeld.estimator.scans import noise_of
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import LinkInputs, Why

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from taxeld import files
 from taxeld.config.tables import Config
-from taxeld.estimator.history import VERSION, scan_arrays, scans_of
+from taxeld.estimator.scans import VERSION, scan_arrays, scans_of
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.stage import later
 from taxeld.skin.calibration import SkinState
@@ -149,7 +149,7 @@ class Store:
         """Have all written if it is time to, at a monotonic and a Unix time. Never blocks."""
         if self._path is None or self._writer.is_busy:
             return
-        changes = self._estimator.history.changes if self._estimator else 0
+        changes = self._estimator.scans.added if self._estimator else 0
         captures = sum(stage.skin.captures for stage in self._pipeline.stages)
         wait_s = EVERY_S if changes != self._changes else AT_LEAST_S
         is_due = captures != self._captures or now_s >= self._written_s + wait_s
@@ -171,7 +171,7 @@ class Store:
             self._packed = b""
         if self._estimator is None or not link.is_ready or now_s < self._next_memory_s:
             return
-        scans, changes = self._estimator.history.scans, self._estimator.history.changes
+        scans, changes = self._estimator.scans.all, self._estimator.scans.added
         key = link.end, changes, self._estimator.counters.updates
         if key == self._handed or self._pipeline.is_touched or self._writer.is_busy:
             return
@@ -198,7 +198,7 @@ class Store:
         something to keep, or to forget."""
         by, estimator = self._pipeline.stepped_s, self._estimator
         states = [stage.skin.state() for stage in self._pipeline.stages]
-        scans = estimator.history.kept() if estimator and self._keep_s else []
+        scans = estimator.scans.kept() if estimator and self._keep_s else []
         digest = np.array(estimator.digest if scans and estimator else "")
         was_written = self._written_s > -math.inf or self._is_forgotten
 

@@ -17,7 +17,7 @@ from taxeld.arrays import Floats, Poses
 from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
-from taxeld.estimator.rule import noise_of
+from taxeld.estimator.scans import noise_of
 from taxeld.model import se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel

@@ -11,10 +11,8 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.intake import Intake
 from taxeld.estimator.memory import Slack
-from taxeld.estimator.news import News
-from taxeld.estimator.rule import EstimatorCounters
+from taxeld.estimator.news import EstimatorCounters, Intake, News
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import add_m
 from taxeld_training.filters.identities import UNKNOWN

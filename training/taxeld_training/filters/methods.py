@@ -13,7 +13,7 @@ import numpy as np
 
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Hypotheses, Status
-from taxeld.estimator.rule import noise_of
+from taxeld.estimator.scans import noise_of
 from taxeld_hil import integrity
 from taxeld_hil.integrity import Claims
 

@@ -1,8 +1,8 @@
 """How well the cells of the grid filter explain a scan: the filter's own likelihood, over extents.
 
 What a reading says of a pose is the estimator's: floors, full scale, residues of presses before,
-and an offset of each remembered scan's own, marginalised as `estimator.offsets` does. A cell adds
-an extent to that, over which its depths range.
+and an offset of each remembered scan's own, marginalised as `estimator.likelihood` does. A cell
+adds an extent to that, over which its depths range.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
-from taxeld.estimator.offsets import HIDDEN, Readings
+from taxeld.estimator.likelihood import HIDDEN, Readings
 from taxeld.model import se2
 from taxeld.model.noise import Noise, normal_cdf
 from taxeld.model.observation import BAND_M, Observation, ObservationModel
@@ -151,9 +151,8 @@ class CellLikelihood:
             *(
                 values.astype(np.float32)
                 for values in (
+                    z,
                     np.where(z > 0.0, z, floor),
-                    np.where(z < 1.0, -np.inf, 0.0),
-                    np.where(z > 0.0, np.inf, 0.0),
                     pairs.depth,
                     *pairs.slope,
                     1.0 / np.sqrt(self._noise.variance(z) + residue**2 + extent),

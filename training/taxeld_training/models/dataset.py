@@ -11,7 +11,7 @@ from torch import Tensor
 
 from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
-from taxeld.estimator.rule import noise_of
+from taxeld.estimator.scans import noise_of
 from taxeld.model.contacts import synthesise
 from taxeld.model.leak import Leak
 from taxeld.model.noise import FLOOR, Noise

@@ -1,0 +1,197 @@
+"""The scans that were learned from: one list, which all beliefs draw on and which a restart keeps.
+
+A scan is read once: what its readings tell is the same for every object and pose. The list holds as
+many scans as a belief remembers.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Bools, Floats, Grid
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.anything import Anything
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.response import SAG_M, SAG_SD
+
+REMEMBERED = 16  # scans of touches at most
+SILENT_MAX = 32  # silent scans at most
+VERSION = 3  # of `scan_arrays` and `SkinState`
+OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd"
+OF_TAXELS = "z", "live", "floor", "residue", *OF_NOISE
+
+Arrays = dict[str, NDArray[Any]]
+Used = tuple[Observation, int]
+"""A scan to learn from, and the number of its contact or of the one before."""
+
+
+class Field(IntEnum):
+    """What is told by each reading, as `explain` needs it; explain.c reads the first eight."""
+
+    Z = 0
+    LEVEL = 1  # the reading, or the floor where it is 0
+    ROOT = 2  # 1 / standard deviation of the reading, 0 where not live
+    SILENT = 3  # log p(z | h = 0)
+    SIGMA2 = 4  # variance of the reading at rest, with what earlier presses may have left
+    GAIN2 = 5  # variance of the gain
+    SAG = 6  # length of the cover's sag beside the taxel [m]
+    MOST = 7  # the same, one standard deviation more
+    RESIDUE = 8
+    LIVE = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanEvidence:
+    """A scan that was learned from, and its evidence, whatever the object and pose."""
+
+    observation: Observation
+    number: int  # of its contact, or of the one before
+    is_contact: bool
+    fields: Grid  # (FIELDS, M)
+    anything: float  # log p(scan | whatever was pressed, or nothing)
+    untouched: float  # log p(scan | nothing is pressed)
+
+    @property
+    def step(self) -> int:
+        """Number of the contact that it counts with: silence counts with the next, as the object
+        may have moved since the last."""
+        return self.number + (not self.is_contact)
+
+    @property
+    def remembered(self) -> Observation:
+        """The observation in single precision, as it is remembered."""
+        return replace(self.observation, z=self.fields[Field.Z].astype(np.float64))
+
+
+class ScanList:
+    """The scans of one estimator, in their order."""
+
+    def __init__(self, links: Sequence[ObservationModel], noise: Noise) -> None:
+        """`links`: the skins; the object does not matter. `noise`: where a scan has none."""
+        self.all: Sequence[ScanEvidence] = ()  # never changed: each scan makes another one
+        self.added = 0  # scans since the start
+        self._noise = noise
+        self._anything = [Anything(each, noise) for each in links]
+        self._silent: ScanEvidence | None = None  # the last silent scan
+
+    def add(self, observation: Observation, number: int = 0) -> ScanEvidence:
+        """Read a scan, and remember it."""
+        scan = self._read(observation, number)
+        self.added += 1
+        scans = [*self.all, scan]
+        forgotten = surplus(scans)
+        if forgotten is not None:
+            del scans[forgotten]
+        self.all = scans
+        return scan
+
+    def kept(self) -> list[ScanEvidence]:
+        """Without the silence after the last contact: the object may be moved before the next."""
+        last = max((scan.number for scan in self.all if scan.is_contact), default=0)
+        return [scan for scan in self.all if scan.number < last or scan.is_contact]
+
+    def _read(self, observation: Observation, number: int) -> ScanEvidence:
+        before, noise = self._silent, observation.noise or self._noise
+        is_contact = observation.is_contact
+        if not is_contact and before is not None and _are_alike(before.observation, observation):
+            return replace(before, observation=observation, number=number)
+        fields = fields_of(observation.z, observation, noise)
+        anything = untouched = float(fields[Field.SILENT].sum(dtype=np.float64))
+        if is_contact:
+            anything = self._anything[observation.link].log_density(observation)
+        scan = ScanEvidence(observation, number, is_contact, fields, anything, untouched)
+        if not is_contact:
+            self._silent = scan
+        return scan
+
+
+def _are_alike(one: Observation, other: Observation) -> bool:
+    """Whether two silent scans tell the same."""
+    return (
+        one.noise is other.noise
+        and np.array_equal(one.live, other.live)
+        and np.array_equal(one.floor, other.floor)
+        and np.array_equal(one.residue, other.residue)
+    )
+
+
+def surplus(scans: Sequence[ScanEvidence]) -> int | None:
+    """Which scan to forget after the last one was added, None where there is room: the oldest of
+    its kind, and of touches the oldest of the contact with the most scans, because further scans of
+    one press tell little."""
+    is_contact = scans[-1].is_contact
+    alike = [k for k, scan in enumerate(scans) if scan.is_contact == is_contact]
+    if len(alike) <= (REMEMBERED if is_contact else SILENT_MAX):
+        return None
+    numbers = [scans[k].number if is_contact else 0 for k in alike]
+    most = max(map(numbers.count, numbers))
+    return next(
+        k for k, number in zip(alike, numbers, strict=True) if numbers.count(number) == most
+    )
+
+
+def noise_of(config: FilterConfig) -> Noise:
+    """Errors of a skin of which no more is known than its kind."""
+    return Noise(config.noise_sigma, config.gain_cv, sag_m=SAG_M, sag_sd=SAG_SD)
+
+
+def fields_of(z: Floats, like: Observation, noise: Noise) -> Grid:
+    """The fields of activations z (…, M), of a skin in the state of an observation → (FIELDS, …,
+    M)."""
+    live: Bools = like.live
+    floor, residue = (np.broadcast_to(each, len(live)) for each in (like.floor, like.residue))
+    made = np.empty((len(Field), *z.shape), np.float32)
+    made[Field.Z] = z
+    made[Field.LEVEL] = np.where(z > 0.0, z, floor)
+    made[Field.ROOT] = live / np.sqrt(noise.variance(z) + residue**2)
+    made[Field.SILENT] = noise.log_density(z, np.zeros_like(z), floor, residue) * live
+    made[Field.SIGMA2] = np.square(noise.sigma) + residue**2
+    made[Field.GAIN2] = np.square(noise.gain_cv)
+    made[Field.SAG] = noise.sag_m
+    made[Field.MOST] = noise.sag_m * np.exp(noise.sag_sd)
+    made[Field.RESIDUE] = residue
+    made[Field.LIVE] = live
+    return made
+
+
+def scan_arrays(scans: Sequence[ScanEvidence]) -> Arrays:
+    """Scans as arrays (K, …) of single precision, filled up to the most taxels of a link; the noise
+    is nan where it is not known."""
+    most = max((len(scan.observation.z) for scan in scans), default=0)
+    # an array each: a large one would hold the loop up while numpy copies it
+    found: Arrays = {name: np.zeros((len(scans), most), np.float32) for name in OF_TAXELS}
+    found |= {name: np.zeros(len(scans), np.int64) for name in ("number", "size", "link")}
+    found |= {"sensor": np.zeros((len(scans), 3))}
+    found |= {name: np.zeros(len(scans)) for name in ("place_sd_m", "outliers")}
+    for k, scan in enumerate(scans):
+        seen, size = scan.observation, len(scan.observation.z)
+        noise = seen.noise or Noise(math.nan, outliers=math.nan)
+        own = {"number": scan.number, "size": size, "link": seen.link, "sensor": seen.sensor}
+        own |= {"place_sd_m": seen.place_sd_m, "outliers": noise.outliers}
+        for name, value in own.items():
+            found[name][k] = value
+        for name in OF_TAXELS:
+            found[name][k, :size] = getattr(noise if name in OF_NOISE else seen, name)
+    return found
+
+
+def scans_of(arrays: Arrays) -> list[Used]:
+    """The scans of `scan_arrays`, to be learned again."""
+    scans = []
+    for k, (size, number) in enumerate(zip(arrays["size"], arrays["number"], strict=True)):
+        own: dict[str, Any] = {
+            name: arrays[name][k, :size].astype(np.float64) for name in OF_TAXELS
+        }
+        noise = {name: own.pop(name) for name in OF_NOISE}
+        outliers = arrays["outliers"][k].item()
+        known = None if math.isnan(outliers) else Noise(outliers=outliers, **noise)
+        own["live"] = own["live"] > 0.0
+        own |= {name: arrays[name][k].item() for name in ("link", "place_sd_m")}
+        scans.append((Observation(arrays["sensor"][k], **own, noise=known), number.item()))
+    return scans

@@ -1,0 +1,172 @@
+"""How well poses explain scans that are a little off, and that the C code does as numpy does."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld import native
+from taxeld.arrays import Floats, Poses
+from taxeld.estimator.memory import Memory, Slack
+from taxeld.model import contacts, se2
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
+from tests.rig.memories import memory_of, plus
+from tests.rig.pressed_box import box_side
+
+SD_M = 0.001
+NOISE = Noise(sigma=0.04, gain_cv=0.17)
+EXPLAIN = "estimator/explain"
+needed = pytest.mark.skipif(
+    native.library(EXPLAIN) is None, reason="taxeld was installed without a C compiler"
+)
+
+
+def presses(model: ObservationModel, n: int) -> Poses:
+    """(n, 3) of the object in the sensor's frame; each presses well."""
+    made = contacts.synthesise(model.scene, 0.04, 0.005, 40 * n, np.random.default_rng(0)).pose
+    return made[model.activation(made).max(axis=1) > 0.4][:n]
+
+
+def felt(model: ObservationModel, press: Poses, off_m: Floats | float = 0.0) -> Observation:
+    """The object at the origin, and the sensor not quite where it is said to be."""
+    sensor = se2.inverse(press)
+    sensor[:2] += off_m
+    z = model.activation(press[None])[0]
+    return Observation(sensor, np.where(z < 0.01, 0.0, z), np.ones(len(z), dtype=np.bool_))
+
+
+def integral(model: ObservationModel, scan: Observation, pose: Poses) -> float:
+    """log p(z | pose) over a Gaussian offset, by brute force."""
+    step = np.linspace(-4.0, 4.0, 41)
+    x, y = (a.ravel() for a in np.meshgrid(step, step))
+    weight = np.exp(-0.5 * (x * x + y * y))
+    moved = np.stack([SD_M * x, SD_M * y, np.zeros(len(x))], axis=1)
+    one = plus(memory_of(model, NOISE), replace(scan, sensor=np.zeros(3)))
+    seen = se2.compose(se2.inverse(scan.sensor + moved), pose[None])
+    likely = one.explain(seen)[:, 0]
+    return float(np.log(np.exp(likely - likely.max()) @ weight / weight.sum()) + likely.max())
+
+
+def test_the_likelihood_is_the_integral_over_all_offsets(box_model: ObservationModel) -> None:
+    rng = np.random.default_rng(1)
+    off = []
+    for press in presses(box_model, 12):
+        scan = felt(box_model, press, SD_M * rng.standard_normal(2))
+        memory = plus(memory_of(box_model, NOISE, Slack(SD_M)), scan)
+        pose = 5e-4 * rng.standard_normal(3)
+        off.append(memory.explain(pose[None])[0, 0] - integral(box_model, scan, pose))
+    assert np.median(np.abs(off)) < 0.3
+    assert np.max(np.abs(off)) < 1.5
+
+
+def test_a_touch_that_is_two_millimetres_off_is_explained_with_slack_alone(
+    box_model: ObservationModel,
+) -> None:
+    slacks = Slack(0.002), Slack(0.002, 0.002, 0.0), Slack()
+    about, none, exact = (memory_of(box_model, NOISE, slack) for slack in slacks)
+    for press in presses(box_model, 6):
+        scan = felt(box_model, press, np.array([0.002, 0.0]))
+        about, none, exact = (plus(each, scan) for each in (about, none, exact))
+    poses = 0.002 * np.random.default_rng(0).standard_normal((20, 3))
+    poses[0] = 0.0
+    assert about.explain(poses[:1]).sum() > exact.explain(poses[:1]).sum() + 20.0
+    assert np.array_equal(exact.explain(poses), none.explain(poses))
+
+
+def test_a_place_that_is_known_badly_is_a_scans_own_slack(box_model: ObservationModel) -> None:
+    """A touch's and a silent one's."""
+    none, slack = memory_of(box_model, NOISE), memory_of(box_model, NOISE, Slack(3.0 * SD_M))
+    poses = 0.004 * np.random.default_rng(0).standard_normal((20, 3))
+    scans = [felt(box_model, press) for press in presses(box_model, 3)]
+    scans.append(replace(scans[0], z=np.zeros(len(scans[0].z))))
+    for scan in scans:
+        vague = plus(none, replace(scan, place_sd_m=3.0 * SD_M))
+        assert np.allclose(vague.explain(poses), plus(slack, scan).explain(poses))
+        assert not np.allclose(vague.explain(poses), plus(none, scan).explain(poses))
+
+
+def test_an_old_touch_fades_by_what_has_happened_since(box_model: ObservationModel) -> None:
+    """An object that gives way at each touch: the same reading says less of where it is now."""
+    press = se2.inverse(box_side(box_model, 0.2, 0.003))
+    memory = plus(memory_of(box_model, NOISE, Slack(0.0, SD_M)), felt(box_model, press), 1)
+    poses = np.linspace(-0.004, 0.004, 9)[:, None] * np.eye(3)[0]
+    spread = [np.ptp(replace(memory, newest=newest).explain(poses)) for newest in (1, 3, 9)]
+    assert spread[0] > 1.5 * spread[1] > 1.5 * 1.2 * spread[2]
+
+
+def touched(model: ObservationModel, noise: Noise, slack: Slack) -> Memory:
+    """Scans of presses and silent ones, dead taxels, floors and residues among them."""
+    rng, memory = np.random.default_rng(0), memory_of(model, noise, slack)
+    for number in range(1, 9):
+        sensor = rng.normal(size=3) * [0.05, 0.05, 1.0]
+        made = contacts.synthesise(model.scene, 0.04, model.depth_max_m, 20, rng)
+        seen = made.pose[:1]  # some of the twenty miss the object
+        z = noise.draw(model.activation(seen)[0], rng) * (rng.random() < 0.7)
+        floor = np.where(rng.random(len(z)) < 0.2, 0.1, 0.02)
+        live = rng.random(len(z)) < 0.9
+        residue = 0.1 * rng.random(len(z))
+        z = np.where(live & (z >= floor), z, 0.0)
+        memory = plus(memory, Observation(sensor, z, live, floor, residue), number)
+    return memory
+
+
+def test_poses_that_are_none_and_no_poses_are_explained_by_something(
+    box_model: ObservationModel,
+) -> None:
+    memory = touched(box_model, Noise(), Slack(0.001, 0.001))
+    for value in (np.nan, np.inf, -np.inf, 1e300):
+        if native.library(EXPLAIN):
+            assert memory.explain(np.full((1, 3), value)).shape == (1, 8)
+            assert memory.explain(np.diag([value] * 3)).shape == (3, 8)
+    assert memory.explain(np.empty((0, 3))).shape == (0, 8)
+    assert memory_of(box_model, Noise()).explain(np.zeros((4, 3))).shape == (4, 0)
+
+
+LEAST, MOST = np.array([[0.02, 0.05, 0.0, 0.1], [0.05, 0.2, 0.005, 1.0]])[:, :, None]
+UNEVEN = np.random.default_rng(7).uniform(LEAST, MOST, (4, 32))  # of a ring's taxels
+
+
+@needed
+@pytest.mark.parametrize("slack", [Slack(), Slack(0.001, 0.001)])
+@pytest.mark.parametrize(
+    "noise",
+    [Noise(), Noise(0.04, sag_m=0.002, sag_sd=0.9), Noise(*UNEVEN[:2], 0.01, *UNEVEN[2:])],
+    ids=["no sag", "sag", "each taxel its own"],
+)
+def test_c_explains_what_numpy_explains(
+    box_model: ObservationModel, monkeypatch: pytest.MonkeyPatch, noise: Noise, slack: Slack
+) -> None:
+    poses = np.random.default_rng(1).normal(size=(400, 3)) * [0.06, 0.06, 2.0]
+    by_c = touched(box_model, noise, slack).explain(poses)
+    monkeypatch.setenv(native.SWITCH, "0")
+    native.library.cache_clear()
+    by_numpy = touched(box_model, noise, slack).explain(poses)
+    native.library.cache_clear()
+    assert (by_c != by_numpy).any()
+    apart = ~np.isclose(by_c, by_numpy, atol=0.01)
+    assert apart.mean() < 2e-3  # rounding decides whether a taxel is at the edge of a press
+
+
+@needed
+@pytest.mark.parametrize(
+    ("library", "source"),
+    [
+        pytest.param(None, b"/* changed */", id="changed since"),
+        pytest.param(b"\0" * 100, b"", id="no library"),
+        pytest.param(b"", b"", id="empty"),
+    ],
+)
+def test_a_library_of_other_code_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, library: bytes | None, source: bytes
+) -> None:
+    at = native.HERE / EXPLAIN
+    made = tmp_path / "explain.so"
+    made.write_bytes(at.with_suffix(".so").read_bytes() if library is None else library)
+    made.with_suffix(".c").write_bytes(at.with_suffix(".c").read_bytes() + source)
+    monkeypatch.setattr(native, "HERE", tmp_path)
+    assert native.library.__wrapped__("explain") is None
+    if library is None:
+        made.with_suffix(".c").write_bytes(at.with_suffix(".c").read_bytes())
+        assert native.library.__wrapped__("explain") is not None

@@ -1,0 +1,25 @@
+"""Memories of scans without an estimator."""
+
+from taxeld.estimator.memory import Memory, ObjectSkin, Slack
+from taxeld.estimator.priors import BeliefPrior
+from taxeld.estimator.scans import ScanEvidence, ScanList
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
+
+
+def memory_of(
+    model: ObservationModel,
+    noise: Noise,
+    slack: Slack | None = None,
+    prior: BeliefPrior | None = None,
+) -> Memory:
+    return Memory(ObjectSkin.of(model, noise), slack or Slack(), prior)
+
+
+def read(memory: Memory, observation: Observation, number: int = 0) -> ScanEvidence:
+    return ScanList(memory.skin.links, memory.skin.noise).add(observation, number)
+
+
+def plus(memory: Memory, observation: Observation, number: int = 0, log_z: float = 0.0) -> Memory:
+    """The memory with one scan more, of contact `number`."""
+    return memory.plus(read(memory, observation, number), log_z)
