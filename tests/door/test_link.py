@@ -150,13 +150,6 @@ def test_a_packet_that_is_none_is_logged_and_counted_and_its_door_is_let_go(
     ends.close()
 
 
-def test_what_a_peer_has_sent_becomes_one_short_printable_line() -> None:
-    line = pair.printable("a\n<0>b\x1b]0;c" + "x" * 3000)
-    assert line.startswith("a\\n<0>b\\x1b]0;cxx")
-    assert line.isprintable()
-    assert len(line) < 600
-
-
 def test_of_a_door_that_says_much_a_look_takes_a_bounded_part(ends: Ends) -> None:
     said = PACKETS_PER_LOOK + 10
     for _ in range(said):

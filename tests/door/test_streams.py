@@ -1,4 +1,4 @@
-"""Subscribers at the door: newcomers, the slow and the silent."""
+"""Subscribers at the door: newcomers, the slow, the silent, and those who send too much."""
 
 import time
 from collections.abc import Iterator
@@ -9,8 +9,10 @@ import pytest
 import zmq
 
 from taxeld.stream import topics
+from taxeld.stream.sockets import open_socket
 
 from ..rig.processes import free_port
+from ..rig.sockets import Sockets
 from .stand import INFO, QUEUE, Stand
 
 
@@ -24,48 +26,36 @@ def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Stand]:
         yield made
 
 
-@pytest.fixture
-def local(tmp_path: Path) -> Iterator[Stand]:
-    with Stand(tmp_path) as made:
-        yield made
-
-
-@pytest.mark.parametrize("prefix", [b"", b"/taxeld/info"])
-def test_a_subscriber_to_info_by_any_prefix_is_told_who_speaks(stand: Stand, prefix: bytes) -> None:
-    heard = stand.subscriber(prefix)
-    while (parts := stand.received(heard))[0] != topics.INFO:
-        pass
-    assert msgpack.unpackb(parts[1]) == INFO
-    assert float(parts[2]) == pytest.approx(time.time(), abs=60.0)
-
-
-def test_a_subscriber_to_other_topics_is_not_told(stand: Stand) -> None:
+def test_each_subscriber_to_info_is_told_who_speaks_and_no_other(stand: Stand) -> None:
     other = stand.subscriber(b"/taxeld/estimate", b"/taxeld/information", b"/robot/")
-    stand.until(lambda: stand.link.wants(topics.ESTIMATE))
+    for prefix in (b"", b"/taxeld/info"):
+        heard = stand.subscriber(prefix)
+        while (parts := stand.received(heard))[0] != topics.INFO:
+            pass
+        assert msgpack.unpackb(parts[1]) == INFO
+        assert float(parts[2]) == pytest.approx(time.time(), abs=60.0)
+    heard.setsockopt(zmq.UNSUBSCRIBE, topics.INFO)
+    heard.setsockopt(zmq.SUBSCRIBE, b"/taxeld/i")  # again
+    stand.received(heard)
     for _ in range(20):
         assert stand.received(other)[0] == topics.ESTIMATE
 
 
-def test_late_joiners_and_who_subscribes_again_are_told(stand: Stand) -> None:
-    first, second = stand.subscriber(topics.INFO), stand.subscriber(topics.INFO)
-    stand.received(first)
-    stand.received(second)
-    second.setsockopt(zmq.UNSUBSCRIBE, topics.INFO)
-    second.setsockopt(zmq.SUBSCRIBE, b"/taxeld/i")
-    stand.received(second)
-
-
 def test_the_loop_knows_which_topics_somebody_wants(stand: Stand) -> None:
-    assert not any(map(stand.link.wants, topics.TOPICS))
-    first, second = stand.subscriber(topics.TAXELS), stand.subscriber(b"/taxeld/p")
     wants = stand.link.wants
+    assert not any(map(wants, topics.TOPICS))
+    first, second = (stand.subscriber(topics.TAXELS, b"/taxeld/p") for _ in range(2))
     stand.until(lambda: wants(topics.TAXELS) and wants(topics.PARTICLES))
     assert not wants(topics.HEALTH)
+    stand.received(stand.subscriber(topics.INFO))  # the second is heard as well by now
     first.close()
-    stand.until(lambda: not wants(topics.TAXELS))
-    assert wants(topics.PARTICLES)
+    third = stand.subscriber(topics.COUNTS)
+    stand.until(lambda: wants(topics.COUNTS))
+    assert wants(topics.TAXELS)
     second.close()
-    stand.until(lambda: not wants(topics.PARTICLES))
+    stand.until(lambda: not (wants(topics.TAXELS) or wants(topics.PARTICLES)))
+    assert wants(topics.COUNTS)
+    third.close()
 
 
 @pytest.mark.parametrize("end", [b"\x00", b""])
@@ -81,16 +71,6 @@ def test_no_peer_ends_the_topic_of_another(stand: Stand, end: bytes) -> None:
     stand.until(lambda: not stand.link.wants(topics.PARTICLES))
     stand.link.send(topics.TAXELS, {"z": []}, 1.0)
     stand.received(honest)
-
-
-def test_a_message_of_any_size_goes_out_whole(local: Stand) -> None:
-    """A hundred thousand particles are 3.6 MB, more than the pair takes as one packet."""
-    cloud = {"xytheta": [[0.1, 0.2, 0.3]] * 100_000}
-    heard = local.subscriber(topics.PARTICLES)
-    local.until(lambda: local.link.wants(topics.PARTICLES))
-    local.link.send(topics.PARTICLES, cloud, 1.0)
-    assert msgpack.unpackb(local.received(heard)[1]) == cloud
-    assert local.link.unsent == 0
 
 
 @pytest.mark.check
@@ -109,3 +89,16 @@ def test_a_slow_subscriber_keeps_a_bounded_number_and_loses_the_rest_alone(stand
         kept += "number" in msgpack.unpackb(stalled.recv_multipart()[1])
     in_kernel = 2 * 212_992 // 700  # of both ends
     assert QUEUE <= kept < 2 * QUEUE + in_kernel
+
+
+@pytest.mark.parametrize("kind", [zmq.XPUB, zmq.ROUTER])
+def test_who_sends_too_large_a_frame_is_hung_up_on(tmp_path: Path, kind: int) -> None:
+    with Sockets() as sockets:
+        server = sockets.keep(open_socket(sockets.context, kind, send=10, receive=10, largest=1024))
+        server.bind(f"ipc://{tmp_path}/x")
+        events = sockets.keep(server.get_monitor_socket(zmq.EVENT_DISCONNECTED))
+        client = sockets.open(zmq.XSUB if kind == zmq.XPUB else zmq.DEALER)
+        client.connect(f"ipc://{tmp_path}/x")
+        client.send(b"\x01" + b"x" * 1024)
+        assert events.poll(10_000), "nobody was disconnected"
+        assert not server.poll(0)

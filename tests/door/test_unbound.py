@@ -19,6 +19,8 @@ from ..rig.sockets import Sockets
 from .stand import INFO, Stand
 
 ABSENT = "192.0.2.1"  # of documents (RFC 5737): no machine has it
+AGAIN = "it is tried again each second"
+HERE = "'ip address' lists this machine's addresses"
 
 
 def taken(sockets: Sockets, endpoint: str) -> zmq.Socket[Any]:
@@ -27,56 +29,38 @@ def taken(sockets: Sockets, endpoint: str) -> zmq.Socket[Any]:
     return made
 
 
-def test_where_a_port_is_taken_the_rest_is_served_and_the_port_once_it_is_free(
+def test_where_an_address_cannot_be_had_the_rest_is_served_and_the_address_once_it_can(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")
     stream, control = (f"tcp://127.0.0.1:{free_port()}" for _ in range(2))
+    absent = f"tcp://{ABSENT}:{free_port()}", "tcp://nic77:9872"
     with Sockets() as sockets:
         thieves = [taken(sockets, endpoint) for endpoint in (stream, control)]
-        with Stand(tmp_path, relay_publish=(stream,), relay_control=control) as stand:
+        with Stand(tmp_path, relay_publish=(stream, *absent), relay_control=control) as stand:
             stand.received(stand.subscriber(b"/taxeld/e"))
             assert stand.answer({"cmd": "info"})["info"] == INFO
-            stand.until(lambda: stand.link.report.unbound == 2)
+            stand.until(lambda: stand.link.report.unbound == 4)
             for thief in thieves:
                 thief.close()
-            stand.until(lambda: stand.link.report.unbound == 0)
+            stand.until(lambda: stand.link.report.unbound == 2)
             stand.received(stand.subscriber(b"/taxeld/e", endpoint=stream))
             assert stand.answer({"cmd": "info"}, control)["info"] == INFO
             assert stand.keeper.starts == 1
-    told = [line for line in caplog.messages if stream in line]
-    assert told == [
+    assert [line for line in caplog.messages if stream in line] == [
         f"door: relay.publish: cannot bind {stream} (Address already in use); 'ss -tlnp' tells "
-        "which program has the port; it is tried again each second",
+        f"which program has the port; {AGAIN}",
         f"door: relay.publish: {stream} is bound",
     ]
+    for endpoint in absent:
+        (line,) = (line for line in caplog.messages if endpoint in line)
+        assert line.startswith(f"door: relay.publish: cannot bind {endpoint} (")
+        assert line.endswith(f"; {HERE}; {AGAIN}")
 
 
-def test_where_an_address_is_not_on_this_machine_the_rest_is_served(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+def test_check_refuses_a_port_that_is_taken_and_a_daemon_runs_whose_health_says_so(
+    tmp_path: Path,
 ) -> None:
-    endpoint = f"tcp://{ABSENT}:{free_port()}"
-    with Stand(tmp_path, relay_publish=(endpoint, "tcp://nic77:9872")) as stand:
-        stand.received(stand.subscriber(b"/taxeld/e"))
-        stand.until(lambda: stand.link.report.unbound == 2)
-    cure = "'ip address' lists this machine's addresses; it is tried again each second"
-    assert [line.partition(" (")[0] for line in caplog.messages] == [
-        f"door: relay.publish: cannot bind {each}" for each in (endpoint, "tcp://nic77:9872")
-    ]
-    assert all(line.endswith(cure) for line in caplog.messages)
-
-
-def test_check_refuses_a_port_that_is_taken(tmp_path: Path) -> None:
-    endpoint = f"tcp://127.0.0.1:{free_port()}"
-    path = configuration(tmp_path, source=QUIET, relay={"control": endpoint})
-    with Sockets() as sockets:
-        taken(sockets, endpoint)
-        told = refused("check", path)
-    assert told.startswith(f"relay.control: cannot bind {endpoint} (Address already in use); ")
-    printed("check", path)
-
-
-def test_a_daemon_whose_port_is_taken_runs_and_its_health_says_so(tmp_path: Path) -> None:
     endpoint = f"tcp://127.0.0.1:{free_port()}"
     path = configuration(tmp_path, source=QUIET, relay={"publish": [endpoint]})
     environment = {k: v for k, v in os.environ.items() if k != "NOTIFY_SOCKET"}
@@ -88,8 +72,11 @@ def test_a_daemon_whose_port_is_taken_runs_and_its_health_says_so(tmp_path: Path
 
     with Sockets() as sockets:
         taken(sockets, endpoint)
+        told = refused("check", path)
+        assert told.startswith(f"relay.publish: cannot bind {endpoint} (Address already in use); ")
         with taxeld("run", path, stderr=subprocess.PIPE, env=environment) as daemon:
             until(is_told)
             daemon.terminate()
             daemon.communicate()
         assert daemon.returncode == 0
+    printed("check", path)

@@ -34,7 +34,6 @@ LOOK_S, REPORT_S = 0.1, 1.0
 PACKETS_PER_LOOK = 256
 SILENT_S = 2.0  # without an estimate for so long, the loop hangs
 NOTHING = b"\x80"  # an empty map
-log = logging.getLogger("taxeld")
 
 
 class Door:
@@ -119,7 +118,7 @@ class Door:
         except NotNowError as error:
             if not endpoint.startswith(endpoints.TCP):
                 raise
-            log.warning("%s; it is tried again each second", error)
+            self._log(logging.WARNING, f"{error}; it is tried again each second")
             self._unbound.append((socket, endpoint, key))
 
     def _pass(self) -> None:
@@ -168,7 +167,7 @@ class Door:
             with contextlib.suppress(SetupError):
                 self._bound.enter_context(bound(*waiting))
                 self._unbound.remove(waiting)
-                log.info("%s: %s is bound", key, endpoint)
+                self._log(logging.INFO, f"{key}: {endpoint} is bound")
 
     def _take_from_loop(self, now_s: float) -> None:
         for _ in range(PACKETS_PER_LOOK):
@@ -201,6 +200,10 @@ class Door:
             for stream in self._streams:
                 stream.send((topic, body, b"%.6f" % t))
 
+    def _log(self, level: int, line: str) -> None:
+        """To the loop, which has the log."""
+        pair.send(self._end, Kind.LOG, level, pair.printable(line))
+
     def _on_poses(self, poses: list[Pose], link: int) -> None:
         pair.send(self._end, Kind.POSES, link, poses)
 
@@ -227,26 +230,11 @@ class Door:
         return packed_ok(info=self._latest[INFO])
 
 
-class _ToLoop(logging.Handler):
-    """A handler that sends each record to the loop, which has the log."""
-
-    def __init__(self, end: socket.socket) -> None:
-        super().__init__()
-        self._end = end
-
-    def emit(self, record: logging.LogRecord) -> None:
-        line = pair.printable(record.getMessage())
-        with contextlib.suppress(OSError):
-            pair.send(self._end, Kind.LOG, record.levelno, line)
-
-
 def main() -> None:
-    """`python -m taxeld.door DESCRIPTOR SETTINGS`, the door's end of the pair."""
+    """`python -m taxeld.door.process DESCRIPTOR SETTINGS`; the descriptor is of the pair."""
     for number in (signal.SIGINT, signal.SIGTERM):  # of a terminal, of a service that stops
         signal.signal(number, signal.SIG_IGN)  # the loop ends the door when it has ended
     end = socket.socket(fileno=int(sys.argv[1]))
-    log.addHandler(_ToLoop(end))
-    log.setLevel(logging.INFO)
     limits.limit()
     door, status = Door(Settings(**json.loads(sys.argv[2])), end), 0
     try:
@@ -259,3 +247,7 @@ def main() -> None:
     finally:
         door.close()
     os._exit(status)  # at once: the loop kills a door that has closed its end of the pair
+
+
+if __name__ == "__main__":
+    main()

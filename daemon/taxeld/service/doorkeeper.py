@@ -125,7 +125,7 @@ class Doorkeeper:
     def _start(self) -> subprocess.Popen[bytes]:
         """Raises OSError where no descriptor or no process is left."""
         loops, doors = pair.open_pair()
-        command = [sys.executable, "-P", "-m", "taxeld.door", str(doors.fileno())]
+        command = [sys.executable, "-P", "-m", "taxeld.door.process", str(doors.fileno())]
         try:
             process = subprocess.Popen(  # noqa: S603  (our own module)
                 [*command, json.dumps(asdict(self._settings))],

@@ -45,7 +45,6 @@ __all__ = [  # all names beside this module's own
 ]
 
 OTHER = "other"  # in `objects`: none of the known ones
-ALONE = 2  # entries of `objects` with a single known one
 VERSION = 3  # version of the stream: `v` in every message
 
 STAGES = ("source", "skin", "propose", "filter", "publish", "total")
@@ -68,9 +67,7 @@ def estimate(
     its scans are of no use. In a replay, where time is not
     measured, the timing keys are 0."""
     return {
-        "v": VERSION,
-        "seq": seq,
-        "t": e.t,
+        **_head(seq, e.t),
         "mono_ns": mono_ns,
         "valid": why is Why.VALID,
         "why": int(why),
@@ -101,6 +98,11 @@ def estimate(
     }
 
 
+def _head(seq: int, t: float, link: int = 0) -> dict[str, Any]:
+    """The keys of every message; the number of the first link is left out."""
+    return {"v": VERSION, "seq": seq, "t": t, **({"link": link} if link else {})}
+
+
 def _named(objects: Sequence[float], names: Sequence[str]) -> dict[str, float]:
     """Probabilities of objects by their names, and that of none of them."""
     return {**dict(zip(names, objects, strict=True)), OTHER: max(1.0 - sum(objects), 0.0)}
@@ -108,16 +110,13 @@ def _named(objects: Sequence[float], names: Sequence[str]) -> dict[str, float]:
 
 def particles(t: float, seq: int, pose: Poses, weight: Poses) -> dict[str, Any]:
     """`/taxeld/particles`: particles' poses (N, 3) in m, m, rad, and weights (N,)."""
-    return {"v": VERSION, "seq": seq, "t": t, "xytheta": pose.tolist(), "weight": weight.tolist()}
+    return _head(seq, t) | {"xytheta": pose.tolist(), "weight": weight.tolist()}
 
 
 def taxels(activation: Activation, sensor: Poses | None, seq: int, link: int = 0) -> dict[str, Any]:
     """`/taxeld/taxels` of a link; `sensor` (3,) is None where it is not known."""
     return {
-        "v": VERSION,
-        "seq": seq,
-        "t": activation.t,
-        **({"link": link} if link else {}),
+        **_head(seq, activation.t, link),
         "z": activation.z.tolist(),
         "live": activation.live.tolist(),
         "placed": sensor is not None,
@@ -131,10 +130,7 @@ def contacts(
     """`/taxeld/contacts` of a link: the patches of touch of its last scan, at Unix time t."""
     at = se2.IDENTITY if sensor is None else sensor
     return {
-        "v": VERSION,
-        "seq": seq,
-        "t": t,
-        **({"link": link} if link else {}),
+        **_head(seq, t, link),
         "placed": sensor is not None,
         "left_out": patches.left_out,
         "patches": [
@@ -157,19 +153,13 @@ def contacts(
 
 def counts(t: float, counts: Floats, seq: int, link: int = 0) -> dict[str, Any]:
     """`/taxeld/counts` of a link: its last readings (M,), 0 where none is valid."""
-    return {
-        "v": VERSION,
-        "seq": seq,
-        "t": t,
-        **({"link": link} if link else {}),
-        "counts": counts.tolist(),
-        "came": (counts > 0.0).tolist(),
-    }
+    came = (counts > 0.0).tolist()
+    return _head(seq, t, link) | {"counts": counts.tolist(), "came": came}
 
 
 def health(seq: int, t: float, counted: dict[str, Any]) -> dict[str, Any]:
     """`/taxeld/health`: what the table of values has of all that is counted, by part."""
-    return {"v": VERSION, "seq": seq, "t": t, **values.published(counted)}
+    return _head(seq, t) | values.published(counted)
 
 
 def info(
@@ -184,6 +174,7 @@ def info(
         {"name": name, "symmetry": scene.symmetry, "outline": scene.outline.tolist()}
         for name, scene in scenes.items()
     ]
+    first, *_ = [*objects, {"name": "", "symmetry": 0, "outline": []}]
     return {
         "v": VERSION,
         "taxeld": __version__,
@@ -193,17 +184,12 @@ def info(
         "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
         "degraded": {str(int(s)): s.name.lower() for s in Degraded},
         "layout": _layout(layout),
-        "object": objects[0]["name"] if objects else "",
-        "symmetry": objects[0]["symmetry"] if objects else 0,
-        "outline": objects[0]["outline"] if objects else [],
+        "object": first["name"],
+        "symmetry": first["symmetry"],
+        "outline": first["outline"],
         "objects": objects,
         "config_hash": config_hash,
-        **(
-            {"links": [{"name": k, "layout": _layout(v)} for k, v in links.items()]}
-            if links
-            else {}
-        ),
-    }
+    } | ({"links": [{"name": k, "layout": _layout(v)} for k, v in links.items()]} if links else {})
 
 
 def _layout(layout: Layout) -> dict[str, Any]:
@@ -219,11 +205,11 @@ def _layout(layout: Layout) -> dict[str, Any]:
 def object_of(e: Mapping[str, Any]) -> str:
     """The name of the object that an estimate's map is of, with its probability where it might be
     another one; empty in the map of an older daemon."""
-    likely = list(e.get("objects", {}).items())
-    if len(likely) < ALONE:  # `other` alone
+    *likely, _ = e.get("objects", {OTHER: 1.0}).items()
+    if not likely:
         return ""
     name, p = likely[e["object"]]
-    return f"{name} {p:.1%}" if len(likely) > ALONE else str(name)
+    return f"{name} {p:.1%}" if len(likely) > 1 else str(name)
 
 
 def name_of(kind: type[IntEnum], number: int) -> str:

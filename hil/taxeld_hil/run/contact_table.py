@@ -51,7 +51,7 @@ class ContactTable:
         )
         self.most_taxels = 0
         line = line if self.truth is None else f"{line} {self.error_mm():16.1f}"
-        several = len(message["objects"]) > messages.ALONE
+        several = len(message["objects"]) > 2  # beside `other`
         return f"{line}  {messages.object_of(message)}" if several else line
 
     def error_mm(self) -> float:
