@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from taxeld_hil.integrity import Claims
 from taxeld_training.filters import enough
 
 RNG = np.random.default_rng(0)
@@ -22,6 +23,12 @@ def test_a_dear_filter_is_taken_where_it_is_shown_to_be_better() -> None:
 
 
 def test_being_sure_and_wrong_once_weighs_more_than_being_sure_earlier() -> None:
-    early = [[(True, False)] * 8] * 9 + [[(True, False)] * 7 + [(False, True)]]
-    late = [[(False, False)] + [(True, False)] * 7] * 10
+    def trials(*each: list[tuple[float, float]]) -> Claims:
+        """Of touches as (p, error [mm])."""
+        p, error_mm = np.moveaxis(np.array(each), -1, 0)
+        return Claims(p, np.full(p.shape, 9.0), error_mm)
+
+    good, doubted, wrong = (1.0, 1.0), (0.5, 1.0), (1.0, 99.0)
+    early = trials(*[[good] * 8] * 9, [*[good] * 7, wrong])
+    late = trials(*[[doubted, *[good] * 7]] * 10)
     assert enough.worth(early).mean() < enough.worth(late).mean()

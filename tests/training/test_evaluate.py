@@ -10,10 +10,9 @@ from taxeld_hil import jobs
 from taxeld_training.cli import main
 from taxeld_training.filters import advised, cells, linked, stability, whole
 from taxeld_training.filters.levels import LEVELS, Level
-from taxeld_training.filters.methods import Method, TouchResult
+from taxeld_training.filters.methods import GRID, Method, TouchResult
 from taxeld_training.jobs import options, statistics
 from taxeld_training.jobs.options import Options
-from taxeld_training.jobs.rows import GRID
 from tests.rig.commands import refused
 
 from .rig import evaluate, rows, written_at

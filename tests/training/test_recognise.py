@@ -91,7 +91,9 @@ def test_recognise_has_rows_of_known_and_unknown_objects_and_goes_on_where_it_wa
     assert evaluate("recognise", f"{block},025_mug", tmp_path, *few) == 0
     found = rows(tmp_path, "recognise")
     mine = [row for row in found if (row["of"], row["skin"]) == (recognise.TEN, "exact")]
-    of = {figure: [row for row in mine if row["figure"] == figure] for figure in {*_figures(mine)}}
+    of: dict[str, list[dict[str, Any]]] = {}
+    for row in mine:
+        of.setdefault(row["figure"], []).append(row)
     assert {"identity", "cost", "calibration", "unknown"} <= of.keys()
     assert {row["object"] for row in of["identity"]} == {"all", str(block), "025_mug"}
     assert [row["contact"] for row in of["identity"][:TOUCHES]] == list(range(1, TOUCHES + 1))
@@ -101,10 +103,6 @@ def test_recognise_has_rows_of_known_and_unknown_objects_and_goes_on_where_it_wa
     before = written_at(tmp_path / "memory")
     assert evaluate("recognise", f"{block},025_mug", tmp_path, *few) == 0
     assert written_at(tmp_path / "memory") == before
-
-
-def _figures(found: list[dict[str, Any]]) -> list[str]:
-    return [row["figure"] for row in found]
 
 
 @pytest.fixture

@@ -13,11 +13,10 @@ from taxeld_training.filters import follow
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.guides import Guide
 from taxeld_training.filters.identities import UNKNOWN
-from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
+from taxeld_training.filters.methods import GRID, SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs import blocks
 from taxeld_training.jobs.options import Options, check
-from taxeld_training.jobs.rows import GRID
 from taxeld_training.objects.setting import Setting, ring
 from taxeld_training.samplers import trained
 

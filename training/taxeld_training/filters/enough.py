@@ -1,30 +1,22 @@
 """Which of several filters is enough: the first that is shown to be as good as the best."""
 
-from collections.abc import Iterable, Sequence
-from typing import TypeAlias
+from collections.abc import Sequence
 
 import numpy as np
 
 from taxeld.arrays import Floats
-from taxeld_training.filters.methods import TouchResult
+from taxeld_hil.integrity import Claims
 from taxeld_training.jobs.statistics import of_mean
 
 MARGIN = 0.01  # share of the touches by which a filter that is as good may fall behind
 LEAST = 40  # trials; fewer choose nothing
 MISLED = 10.0  # touches found and sure that one misleading takes away
 
-Told: TypeAlias = list[tuple[bool, bool]]  # found and sure, misleading; of each touch
 
-
-def told(trial: Iterable[TouchResult]) -> Told:
-    """What a filter told in a trial."""
-    return [(touch.is_right, touch.misleading) for touch in trial]
-
-
-def worth(trials: Sequence[Told]) -> Floats:
-    """(T,) of each trial: the share of its touches after which the object was found and the filter
+def worth(of: Claims) -> Floats:
+    """(N,) of each trial: the share of its touches after which the object was found and the filter
     sure. A touch after which it was sure and wrong takes `MISLED` of them away."""
-    return np.asarray((np.array(trials, dtype=float) @ (1.0, -MISLED)).mean(axis=1))
+    return np.asarray((of.found_and_sure - MISLED * of.misleading).mean(axis=1))
 
 
 def first(worths: Sequence[Floats], usual: int) -> int:

@@ -17,6 +17,7 @@ from taxeld.estimator.scans import noise_of
 from taxeld_hil import integrity
 from taxeld_hil.integrity import Claims
 
+GRID = "grid"  # `proposal` of the grid filter
 NOISE = noise_of(FilterConfig())  # the grid filter's noise as well
 
 
@@ -96,15 +97,6 @@ class TouchResult(NamedTuple):
     @property
     def sure(self) -> bool:
         return bool(integrity.is_sure(self.p))
-
-    @property
-    def is_right(self) -> bool:
-        """Found and sure."""
-        return self.found and self.sure
-
-    @property
-    def misleading(self) -> bool:
-        return bool(integrity.is_misleading(self.p, self.map_mm, self.radius_mm))
 
 
 def claims(trials: Iterable[Sequence[TouchResult]]) -> Claims:

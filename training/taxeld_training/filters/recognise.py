@@ -24,7 +24,6 @@ from taxeld_training.filters.methods import TABLED, TouchResult
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.promises import rate
-from taxeld_training.jobs.rows import ALL
 from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import OBJECTS, Setting
 
@@ -32,6 +31,7 @@ SEEDS, QUICK_SEEDS = 100, 2  # about an hour on two cores
 UNKNOWN_SEEDS = 0.5  # factor of the number of trials with an object that the filter does not know
 QUICK_OBJECTS = 2
 BLOCK = 10  # seeds a job
+ALL = "all"
 TEN, OTHER_TEN = "the ten", "ten others"  # names of the filters, by the objects that they know
 SKINS = ("exact", "typical")  # of `FOAMS`
 TOLD = (4, 6, 8)  # contacts after which unknown objects are looked for

@@ -54,7 +54,7 @@ def reliability_rows(options: Options) -> list[Path]:
     Raises:
         SetupError: no such object, layout or cell.
     """
-    from taxeld_training.charts import reliability_chart  # noqa: PLC0415  # matplotlib is not needed to train
+    from taxeld_training import charts  # noqa: PLC0415  # matplotlib is not needed to train
 
     table = levels.asked_for(options, all_levels(), all_levels())
     counts = wanted(table, options, QUICK_SEEDS if options.quick else SEEDS)
@@ -69,7 +69,7 @@ def reliability_rows(options: Options) -> list[Path]:
     name = "reliability_cells" if options.cells else "reliability"
     data = write(options, name, [*over, *single])
     curves = [row for row in over if row["over"] in CURVES]
-    reliability_chart.draw(curves, data.with_suffix(".png"))
+    charts.reliability(curves, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
 
 

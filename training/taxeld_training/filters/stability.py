@@ -17,9 +17,8 @@ from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell, Results
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
-from taxeld_training.filters.methods import SHIPPED, TABLED, Method
+from taxeld_training.filters.methods import GRID, SHIPPED, TABLED, Method, claims
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import GRID
 from taxeld_training.jobs.statistics import of_median, p_share, quantiles, rounded, share
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
@@ -43,7 +42,7 @@ def stability_rows(options: Options) -> list[Path]:
     Raises:
         SetupError: no such object, group or cell.
     """
-    from taxeld_training.charts import map_chart  # noqa: PLC0415  # matplotlib is not needed to train
+    from taxeld_training import charts  # noqa: PLC0415  # matplotlib is not needed to train
 
     usual = [level for level in LEVELS if level.factor not in BESIDE_THE_MAP]
     table = levels.asked_for(options, LEVELS, usual)
@@ -70,7 +69,7 @@ def stability_rows(options: Options) -> list[Path]:
     ]
     # chosen cells do not take the place of the whole table's rows
     data = write(options, "stability_cells" if options.cells else "stability", found)
-    map_chart.draw(found, data.with_suffix(".png"))
+    charts.failures(found, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
 
 
@@ -141,14 +140,13 @@ def shares(results: Results, contact: int) -> dict[str, float | list[float] | No
     misleads.
     """
     trials = [trial[:contact] for trial in results.values()]
-    last = [trial[-1] for trial in trials]
-    claims = last[0].status is not None
-    so_far = [any(result.misleading for result in trial) for trial in trials]
+    of, last = claims(trials), contact - 1
+    told = slice(None if trials[0][last].status is not None else 0)
     return {
-        **share("found", [result.found for result in last], "_rate"),
-        "sure_rate": share("sure", [result.sure for result in last] if claims else [])["sure"],
-        **share("misleading", [result.misleading for result in last] if claims else [], "_rate"),
-        **share("misleading_so_far", so_far if claims else [], "_rate"),
+        **share("found", of.found[:, last], "_rate"),
+        "sure_rate": share("sure", of.sure[told, last])["sure"],
+        **share("misleading", of.misleading[told, last], "_rate"),
+        **share("misleading_so_far", of.misleading[told].any(axis=1), "_rate"),
     }
 
 

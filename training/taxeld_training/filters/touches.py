@@ -19,12 +19,12 @@ from taxeld.estimator.bank import Known
 from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC, Table
+from taxeld_hil.integrity import Claims
 from taxeld_training.filters import enough
 from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.conditions import TrialConditions
-from taxeld_training.filters.enough import Told
 from taxeld_training.filters.follow import estimator_of, follow
-from taxeld_training.filters.methods import SHIPPED, Method
+from taxeld_training.filters.methods import SHIPPED, Method, TouchResult, claims
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.blocks import SEEDS_APART
 
@@ -83,40 +83,34 @@ def counted(
     filters = tried(sampler, asked)
     work = joblib.delayed(_played)
     jobs = (work(folder, layout, asked, filters, k) for k in range(asked.workers))
-    done: dict[str, list[Told]] = {}
+    done: dict[str, list[list[TouchResult]]] = {}
     # as in quality.reference, whose workers are then used again: starting them takes seconds
     played = joblib.Parallel(asked.workers, return_as="generator", mmap_mode="c")(jobs)
     for finished, part in enumerate(played, 1):
         for name, trials in part.items():
             done.setdefault(name, []).extend(trials)
         progress(STAGE, finished / asked.workers)
-    right, misleading = (
-        {
-            name: [sum(trial[touch][rule] for trial in trials) for touch in range(TOUCHES)]
-            for name, trials in done.items()
-        }
-        for rule in (0, 1)
-    )
-    return _chosen(filters, done, list(made.order)) | {
+    told = {name: claims(trials) for name, trials in done.items()}
+    return _chosen(filters, told, list(made.order)) | {
         "touches": {
             "foam": asked.foam,
             "trials": asked.trials,
             "seed": asked.seed,
-            "found_and_sure": right,
-            "misleading": misleading,
+            "found_and_sure": {k: of.found_and_sure.sum(axis=0).tolist() for k, of in told.items()},
+            "misleading": {k: of.misleading.sum(axis=0).tolist() for k, of in told.items()},
         }
     }
 
 
 def _chosen(
-    filters: dict[str, Method], done: dict[str, list[Told]], order: list[str]
+    filters: dict[str, Method], told: dict[str, Claims], order: list[str]
 ) -> dict[str, Any]:
     """The parts of bundle.json that the daemon runs; none where too few trials choose nothing."""
     names = list(filters)
     if len(names) < len(SIZES):
         return {}
     usual = names.index(f"{Table.name} {size(SHIPPED)}")
-    own = filters[names[enough.first([enough.worth(done[name]) for name in names], usual)]]
+    own = filters[names[enough.first([enough.worth(told[name]) for name in names], usual)]]
     return {
         "auto": [own.proposal, *(name for name in order if name != own.proposal)],
         "filter": {key: getattr(own, key) for key in tables.SIZES},
@@ -125,13 +119,13 @@ def _chosen(
 
 def _played(
     folder: Path, layout: Layout, asked: EndTrials, filters: dict[str, Method], worker: int
-) -> dict[str, list[Told]]:
+) -> dict[str, list[list[TouchResult]]]:
     made = bundle.load(str(folder), layout)
-    found: dict[str, list[Told]] = {name: [] for name in filters}
+    found: dict[str, list[list[TouchResult]]] = {name: [] for name in filters}
     for name, method in filters.items():
         known = [Known(made.model, made.open(method.proposal))]
         for seed in range(worker, asked.trials, asked.workers):
             own = SEEDS_APART * asked.seed + seed
             trial = Trial(made.model, own, TOUCHES, FOAMS[asked.foam])
-            found[name].append(enough.told(follow(trial, estimator_of(known, method, own))))
+            found[name].append(follow(trial, estimator_of(known, method, own)))
     return found

@@ -20,7 +20,6 @@ from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import Method, TouchResult, claims
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import ALL
 from taxeld_training.objects.setting import OBJECTS
 from taxeld_training.samplers.trained import DENSITY, PAPER
 
@@ -28,6 +27,7 @@ SEEDS, QUICK_SEEDS = 40, 1
 BLOCK = 4  # trials of a job
 AFTER = 6  # touches by which a filter is judged
 SCENES_APART = 10**9  # seeds
+ALL = "all"  # object of a row over all objects
 QUIET = 0.1  # share of the quickest seconds that tell what a quiet machine takes
 
 FILTERS = (
@@ -62,7 +62,7 @@ def whole_rows(options: Options) -> list[Path]:
     Raises:
         SetupError: no such object, group, layout or cell.
     """
-    from taxeld_training.charts import whole_chart  # noqa: PLC0415  # matplotlib is not needed to train
+    from taxeld_training import charts  # noqa: PLC0415  # matplotlib is not needed to train
 
     objects = (options.objects or OBJECTS)[: 2 if options.quick else None]
     for name in objects:
@@ -98,7 +98,7 @@ def whole_rows(options: Options) -> list[Path]:
             for row in _rows(level, name, each, idle_ms)
         ]
     data = write(options, "whole", found)
-    whole_chart.draw(found, data.with_suffix(".png"))
+    charts.front(found, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
 
 
@@ -150,8 +150,8 @@ def _rows(
     usual = [k for k, cell in enumerate(ranked) if rows[cell]["ships"]]
     seeds = set.intersection(*(set(found[cell]) for cell in ranked)) if usual else set()
     if len(seeds) >= enough.LEAST:
-        told = ([enough.told(found[cell][seed]) for seed in sorted(seeds)] for cell in ranked)
-        first = enough.first([enough.worth(trials) for trials in told], usual[0])
+        told = (claims(found[cell][seed] for seed in sorted(seeds)) for cell in ranked)
+        first = enough.first([enough.worth(of) for of in told], usual[0])
         rows[ranked[first]]["enough"] = True
     return [rows[cell] for cell in ranked]
 

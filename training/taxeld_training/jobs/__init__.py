@@ -1,4 +1,4 @@
-"""How experiments run: options, rows, statistics. `taxeld_hil.jobs` runs the jobs.
+"""How experiments run: options, statistics. `taxeld_hil.jobs` runs the jobs.
 
 Nothing here imports another room of training.
 """

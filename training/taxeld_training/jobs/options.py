@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ import torch
 from taxeld.errors import SetupError
 from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
-from taxeld_training.jobs.rows import Row
 
 DECIDES = (  # code and bundles that decide the results of jobs
     "taxeld/config/tables.py",
@@ -83,7 +82,7 @@ def check(option: str, names: Sequence[str], known: Sequence[str]) -> None:
             raise SetupError(f"{option}: no '{name}' here; there are {', '.join(known)}")
 
 
-def write(options: Options, name: str, rows: Sequence[Row]) -> Path:
+def write(options: Options, name: str, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Rows as the experiment's JSON file, a row a line so that a diff can be read; its path.
 
     Raises:
