@@ -10,20 +10,16 @@ import numpy as np
 import pytest
 
 from taxeld.commands import advise
-from taxeld.config.file import load, parse
+from taxeld.config.file import load
 from taxeld.estimator.scans import Arrays
 from taxeld.model import se2
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
-from taxeld.service.clock import Ready
-from taxeld.service.kept import MEMORY_S
-from taxeld.service.loop import Daemon
-from taxeld.stream import client, link
-from tests.rig.clocks import until
+from taxeld.stream import client
 from tests.rig.commands import printed, refused
 
-from .test_loop import Touches, settings
+from .test_loop import settings
 from .test_pipeline import CONFIG, ROBOT, SKIN, TRUTH, pipeline_of, story, taken
 
 Answer = Callable[[dict[str, Any] | None], None]
@@ -119,28 +115,3 @@ def test_following_tells_again_only_once_more_was_felt(
         return look == 5
 
     assert len(list(advise.follow(load(config), None, stopping))) == 2
-
-
-def test_the_loop_hands_over_what_was_felt_out_of_contact_and_at_most_once_a_second(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    daemon = Daemon(parse(settings(tmp_path)))
-    touches, given = Touches(daemon, monkeypatch), list[tuple[float, bool]]()
-    monkeypatch.setattr(link, "SILENT_S", np.inf)  # by this clock a door would hang
-    monkeypatch.setattr(
-        daemon.link,
-        "remember",
-        lambda _: given.append((touches.now, daemon.pipeline.is_touched)),
-    )
-    try:
-        for _ in range(120):
-            touches.now += 0.05
-            touches.tick([touches.next()], Ready(device=True))
-            until(lambda: not daemon.kept._writer.is_busy)  # what packs the scans, by its own clock
-            touches.tick([], Ready())
-    finally:
-        daemon.close()
-    times = [now for now, _ in given]
-    assert len(times) >= 3, "after each touch"
-    assert not any(touched for _, touched in given)
-    assert min(np.diff(times)) >= MEMORY_S - 1e-6

@@ -14,7 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.service import calibration_file
-from taxeld.skin.calibration import DAY_S, Calibration, skin_digest
+from taxeld.skin.calibration import DAY_S, Calibration
 from taxeld.source.recorder import Recorder
 from taxeld_protocol.frames import Frame
 from tests.rig.configurations import QUIET, configuration
@@ -100,41 +100,37 @@ def test_a_damaged_file_is_refused_in_one_line_with_the_cure(
     assert message.endswith("; calibrate this skin (taxeld calibrate), or name its own file")
 
 
-def test_a_file_that_is_missing_or_no_text_is_refused(skin: Layout, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("nothing", "unreadable"),
+        (".", "no regular"),
+        ("noise", "unreadable"),
+        ("other", "is of another layout"),
+    ],
+)
+def test_a_file_that_is_none_of_this_skin_is_refused(
+    skin: Layout, tmp_path: Path, name: str, what: str
+) -> None:
     (tmp_path / "noise").write_bytes(bytes(range(256)))
-    for name, what in (("nothing", "unreadable"), (".", "no regular"), ("noise", "unreadable")):
-        with pytest.raises(SetupError, match=r"^skin\.calibration: ") as error:
-            loaded(tmp_path / name, skin)
-        assert what in str(error.value)
-
-
-def test_a_calibration_of_another_layout_is_refused_by_name(skin: Layout, tmp_path: Path) -> None:
     other = layouts.load(OTHER)
-    path = written(other, tmp_path / "c.toml", calibration_of(other))
-    with pytest.raises(SetupError, match="is of another layout") as error:
-        loaded(path, skin)
-    assert skin_digest(other) in str(error.value)
-    assert skin.name in str(error.value)
+    written(other, tmp_path / "other", calibration_of(other))
+    with pytest.raises(SetupError, match=rf"^skin\.calibration: .*{what}"):
+        loaded(tmp_path / name, skin)
 
 
 def test_an_old_calibration_is_refused_with_its_age(skin: Layout, tmp_path: Path) -> None:
     path = written(skin, tmp_path / "c.toml", calibration_of(skin))
     loaded(path, skin, NOW + 179 * DAY_S)
-    with pytest.raises(SetupError, match=r"is 181 days old, more than 180"):
+    with pytest.raises(SetupError, match=r"is 181 days old, more than 180; calibrate this skin"):
         loaded(path, skin, NOW + 181 * DAY_S)
-    with pytest.raises(SetupError, match="from 3 days ahead; set this machine's clock"):
+    with pytest.raises(SetupError, match="from 3 days ahead: set this machine's clock"):
         loaded(path, skin, NOW - 3 * DAY_S)
     loaded(path, skin, NOW - 3 * DAY_S, recorded=True)
 
 
 def configured(place: Path, named: str) -> Path:
     return configuration(place, skin={"calibration": named}, source=QUIET)
-
-
-def test_the_path_is_relative_to_the_configuration(skin: Layout, tmp_path: Path) -> None:
-    here = written(skin, tmp_path / "c.toml", calibration_of(skin))
-    assert load(configured(tmp_path, "c.toml")).skin.calibration == str(here)
-    assert load(configured(tmp_path, str(here))).skin.calibration == str(here)
 
 
 def test_check_refuses_what_run_would_refuse(
@@ -147,9 +143,6 @@ def test_check_refuses_what_run_would_refuse(
         "skin.calibration: c.toml: unreadable (No such file or directory); calib"
         in capsys.readouterr().err
     )
-    written(skin, tmp_path / "c.toml", calibration_of(skin, t=time.time() - 400 * DAY_S))
-    assert main(["check", str(path)]) == 2
-    assert "is 400 days old" in capsys.readouterr().err
     written(skin, tmp_path / "c.toml", calibration_of(skin, t=time.time()))
     assert main(["check", str(path)]) == 0
 

@@ -1,54 +1,164 @@
-"""The wall clock: a step is seen once, and what is slewed is followed in silence."""
+"""When the loop's passes are due, who ends a wait, and what counts as a step of the clock."""
+
+import contextlib
+import fcntl
+import resource
+import socket
+import time
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from taxeld.service.clock import WallClock
+from taxeld.service.clock import IDLE_S, Ready, Ticker, WallClock, wait
+from tests.rig.clocks import Clock
 
+SOON_S = 20.0  # a wait that an input ends is over long before
 HOUR_S = 3600.0
 
 
-class Clocks:
-    def __init__(self) -> None:
-        self.wall, self.monotonic, self.each = 1e9, 50.0, 0.0
-
-    def pass_s(self, seconds: float) -> None:
-        self.wall += seconds
-        self.monotonic += seconds
-
-    def read_monotonic(self) -> float:
-        self.pass_s(self.each)
-        return self.monotonic
+def by_the_clock(ticker: Ticker, clock: Clock, *, busy: bool = True) -> float:
+    """Sleep until the next pass is due; → when it begins."""
+    clock.now = max(clock.now, ticker.until(busy=busy))
+    return ticker.begin()
 
 
-@pytest.mark.parametrize("by", [HOUR_S, -HOUR_S, 0.3, -0.3])
-def test_a_step_of_the_clock_is_seen_once(by: float) -> None:
-    clocks = Clocks()
-    clock = WallClock(lambda: clocks.wall, clocks.read_monotonic)
-    clocks.pass_s(0.01)
-    assert clock.read() == (clocks.wall, 0.0)
-    clocks.pass_s(0.01)
-    clocks.wall += by
-    now, seen = clock.read()
-    assert now == clocks.wall
-    assert seen == pytest.approx(by, abs=1e-5)
-    clocks.pass_s(30.0)  # a tick that took long is no step
-    assert clock.read()[1] == 0.0
+def test_ticks_keep_the_rate_without_drift() -> None:
+    clock = Clock()
+    ticker, times = Ticker(100.0, clock=clock), []
+    for k in range(1000):
+        times.append(by_the_clock(ticker, clock))
+        clock.now += 0.003 + 0.001 * (k % 5)  # work of varying length
+    assert times == pytest.approx([0.01 * (k + 1) for k in range(1000)])
+    assert ticker.missed == 0
+
+
+@pytest.mark.parametrize(
+    ("stall_s", "missed"), [(0.0099, 0), (0.0101, 1), (0.025, 2), (3.001, 300)]
+)
+def test_missed_ticks_are_skipped_and_counted(stall_s: float, missed: int) -> None:
+    """Whether the loop works too long, or the machine wakes it late."""
+    clock = Clock()
+    ticker = Ticker(100.0, clock=clock)
+    by_the_clock(ticker, clock)
+    clock.now += stall_s
+    after = [by_the_clock(ticker, clock) for _ in range(3)]
+    assert ticker.missed == missed
+    assert after[1] - after[0] == pytest.approx(0.01)
+    assert (after[0] / 0.01) == pytest.approx(round(after[0] / 0.01))
+    clock.now = ticker.until(busy=True) + stall_s
+    ticker.begin()
+    assert ticker.missed == 2 * missed
+
+
+def test_where_nothing_is_under_way_ticks_are_slept_through_and_not_missed() -> None:
+    clock = Clock()
+    ticker = Ticker(100.0, 0.05, clock=clock)
+    by_the_clock(ticker, clock, busy=False)
+    times = [by_the_clock(ticker, clock, busy=False) for _ in range(20)]
+    assert times == pytest.approx([times[0] + 0.05 * k for k in range(20)])
+    assert ticker.missed == 0
+
+
+def test_inputs_at_the_idle_pace_are_the_only_passes() -> None:
+    """Scans at 20 Hz bring the estimates that are due at 20 Hz."""
+    clock = Clock()
+    ticker = Ticker(100.0, 0.05, clock=clock)
+    by_the_clock(ticker, clock, busy=True)
+    ticker.until(busy=False)
+    for k in range(1, 100):
+        clock.now = 0.05 * k + 0.004 * (k % 2)  # with some jitter
+        ticker.begin()
+        clock.now += 0.001  # work
+        assert ticker.until(busy=False) > 0.05 * (k + 1) + 0.004
+
+
+@given(
+    rate_hz=st.floats(1.0, 1000.0),
+    idle_s=st.floats(0.001, 1.0),
+    early=st.lists(st.tuples(st.booleans(), st.floats(0.0, 1.0)), max_size=20),
+)
+def test_the_next_pass_is_a_tick_late_at_most_and_soon_however_slow_ticks_are(
+    rate_hz: float, idle_s: float, early: list[tuple[bool, float]]
+) -> None:
+    """`early`: whether a pass is busy, and the share of the wait after which an input ends it."""
+    clock = Clock()
+    ticker, tick_s = Ticker(rate_hz, idle_s, clock=clock), min(1.0 / rate_hz, IDLE_S)
+    for busy, share in early:
+        began = clock.now
+        until = ticker.until(busy=busy)
+        most_s = tick_s if busy else max(min(idle_s, IDLE_S), tick_s) + tick_s
+        assert 0.0 < until - began <= most_s + 1e-9
+        clock.now = began + share * (until - began)
+        ticker.begin()
+    assert ticker.missed == 0
+
+
+class Mute:
+    """A device without a descriptor."""
+
+    @staticmethod
+    def fileno() -> int:
+        return -1
+
+
+def test_who_speaks_ends_the_wait_and_is_named() -> None:
+    with contextlib.ExitStack() as pairs:
+        (device, skin), (door, peer) = (
+            [pairs.enter_context(end) for end in socket.socketpair()] for _ in range(2)
+        )
+        assert wait([device], door, time.monotonic() + 0.001) == Ready()
+        skin.send(b"x")
+        assert wait([device, Mute()], door, time.monotonic() + SOON_S) == Ready(device=True)
+        peer.send(b"x")
+        assert wait([None, device], door, time.monotonic() + SOON_S) == Ready(True, True)
+        assert wait([Mute()], None, time.monotonic() + 0.001) == Ready()
+
+
+def test_a_descriptor_of_any_number_can_be_waited_for() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    with contextlib.ExitStack() as opened:
+        device, skin = (opened.enter_context(end) for end in socket.socketpair())
+        high = opened.enter_context(socket.socket(fileno=fcntl.fcntl(device, fcntl.F_DUPFD, 1200)))
+        skin.send(b"x")
+        assert wait([high], None, time.monotonic() + SOON_S) == Ready(device=True)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.parametrize("by", [HOUR_S, -HOUR_S, 0.3, -0.3, 0.2])
+def test_a_step_of_the_clock_is_seen_once_and_a_smaller_one_is_none(by: float) -> None:
+    monotonic, wall = Clock(50.0), Clock(1e9)
+    clock = WallClock(wall, monotonic)
+    for passed_s, step in ((0.01, 0.0), (0.01, by), (30.0, 0.0)):  # a long tick is no step
+        monotonic.now += passed_s
+        wall.now += passed_s + step
+        now, seen = clock.read()
+        assert now == wall.now
+        assert seen == pytest.approx(step if abs(step) > 0.25 else 0.0, abs=1e-5)
 
 
 def test_a_clock_that_is_slewed_is_followed_in_silence() -> None:
-    clocks = Clocks()
-    clock = WallClock(lambda: clocks.wall, clocks.read_monotonic)
+    monotonic, wall = Clock(50.0), Clock(1e9)
+    clock = WallClock(wall, monotonic)
     for _ in range(10_000):
-        clocks.pass_s(0.01)
-        clocks.wall += 0.01 * 500e-6
+        monotonic.now += 0.01
+        wall.now += 0.01 * (1.0 + 500e-6)
         assert clock.read()[1] == 0.0
 
 
 def test_a_reading_during_which_the_process_was_suspended_is_ignored() -> None:
-    clocks = Clocks()
-    clock = WallClock(lambda: clocks.wall, clocks.read_monotonic)
-    clocks.each = 1.0  # passes before each reading of the monotonic clock
+    monotonic, wall = Clock(50.0), Clock(1e9)
+    held_s = 0.0
+
+    def held_up() -> float:
+        monotonic.now += held_s
+        wall.now += held_s
+        return monotonic.now
+
+    clock = WallClock(wall, held_up)
+    held_s = 1.0
     assert clock.read()[1] == 0.0
-    clocks.each = 0.0
-    clocks.wall += HOUR_S
+    held_s = 0.0
+    wall.now += HOUR_S
     assert clock.read()[1] == pytest.approx(HOUR_S, abs=1e-5)

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -30,6 +31,9 @@ from taxeld.model.observation import Observation, ObservationModel
 from taxeld.service import kept
 from taxeld.service.kept import NAME, Store, directory
 from taxeld.skin.skin import Skin
+from taxeld.stream import pair
+from taxeld.stream.link import Link
+from taxeld.stream.pair import Kind
 from tests.rig.clocks import until
 from tests.rig.pressed_box import TRUTH, World, estimator
 from tests.rig.simulated_skin import SimulatedSkin
@@ -98,7 +102,10 @@ def at(monkeypatch: pytest.MonkeyPatch, later_s: float) -> None:
     monkeypatch.setattr(kept.time, "time", lambda: clock() + later_s)
 
 
-def test_a_restarted_skin_and_belief_know_what_they_knew(begin: Begin) -> None:
+@pytest.mark.parametrize("moved", [np.zeros(3), np.array([0.08, 0.03, 0.4])])
+def test_a_restarted_skin_and_belief_know_what_they_knew_unless_the_object_was_moved(
+    begin: Begin, moved: np.ndarray
+) -> None:
     before = begin()
     simulated, world = felt(before)
     before.end()
@@ -113,16 +120,7 @@ def test_a_restarted_skin_and_belief_know_what_they_knew(begin: Begin) -> None:
     assert waits.contacts == before.estimator.estimate.contacts
     assert waits.status is not Status.CONVERGED
     assert waits.hypotheses.moved == pytest.approx(MOVED, abs=0.01)
-    assert near(world.find(after.estimator), TRUTH)
-
-
-def test_an_object_that_was_moved_meanwhile_is_not_believed_to_stand(begin: Begin) -> None:
-    before = begin()
-    _, world = felt(before)
-    before.end()
-    after = begin()
-    after.store.restore_belief()
-    world.truth = se2.compose(TRUTH, np.array([0.08, 0.03, 0.4]))
+    world.truth = se2.compose(TRUTH, moved)
     assert near(world.find(after.estimator), world.truth)
 
 
@@ -224,23 +222,35 @@ def whole(
     return lambda: file
 
 
-@given(at=st.integers(0, 10**6), damage=st.binary(min_size=1, max_size=40), cut=st.booleans())
-def test_a_file_with_any_damage_is_not_used_or_as_it_was(
-    whole: Callable[[], bytes],
-    tmp_path_factory: pytest.TempPathFactory,
-    at: int,
-    damage: bytes,
-    *,
-    cut: bool,
-) -> None:
-    whole_file = whole()
-    at %= len(whole_file)
-    path = tmp_path_factory.getbasetemp() / "damaged.npz"
-    path.write_bytes(whole_file[:at] + damage + (b"" if cut else whole_file[at + len(damage) :]))
+def is_whole_or_nothing(path: Path, damaged: bytes, whole: bytes) -> bool:
+    path.write_bytes(damaged)
     found = kept.read(path)
-    with np.load(io.BytesIO(whole_file)) as arrays:
-        assert found.keys() in (set(), set(arrays))
-        assert all(found[name].tobytes() == arrays[name].tobytes() for name in found)
+    with np.load(io.BytesIO(whole)) as arrays:
+        return not found or (
+            found.keys() == set(arrays)
+            and all(found[name].tobytes() == arrays[name].tobytes() for name in found)
+        )
+
+
+@given(at=st.integers(0, 10**6), damage=st.binary(min_size=1, max_size=40))
+def test_a_file_with_any_damage_is_not_used_or_as_it_was(
+    whole: Callable[[], bytes], tmp_path_factory: pytest.TempPathFactory, at: int, damage: bytes
+) -> None:
+    file = whole()
+    at %= len(file)
+    damaged = file[:at] + damage + file[at + len(damage) :]
+    assert is_whole_or_nothing(tmp_path_factory.getbasetemp() / "d.npz", damaged, file)
+
+
+@pytest.mark.check
+def test_a_file_that_is_cut_at_any_byte_is_one_line_and_nothing_else(
+    whole: Callable[[], bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file, path = whole(), tmp_path / NAME
+    for at in range(len(file)):
+        caplog.clear()
+        assert is_whole_or_nothing(path, file[:at], file)
+        assert caplog.messages == [f"{path}: not used, it is damaged"]
 
 
 def test_a_file_whose_list_of_arrays_is_damaged_is_not_used(
@@ -366,10 +376,32 @@ def test_a_disk_that_takes_nothing_is_one_warning(
     assert not stored(run)
 
 
-def test_the_writer_runs_before_the_loop_takes_its_priority(begin: Begin) -> None:
-    before = threading.active_count()
-    begin()
-    assert threading.active_count() == before + 1
+def test_each_door_is_handed_what_was_felt_out_of_contact_and_at_most_once_a_second(
+    begin: Begin,
+) -> None:
+    run, link = begin(), Link({}, lambda *_: None, {})
+    _, world = felt(run)
+    for start_s in (0.0, 10.0):
+        loops, door = pair.open_pair()
+        link.attach(loops, start_s)
+        link.is_ready = pair.receive(door) is not None  # who speaks
+        run.is_touched = True
+        run.store.remember(link, start_s)
+        run.is_touched = False
+        assert not run.store._writer.is_busy
+        kind, (scans,) = until(
+            partial(pair.receive, door), lambda start_s=start_s: run.store.remember(link, start_s)
+        )
+        assert kind == Kind.MEMORY
+        with np.load(io.BytesIO(scans)) as handed:
+            told = run.estimator.memory
+            assert handed.keys() == told.keys()
+            assert all(handed[name].tobytes() == told[name].tobytes() for name in told)
+        door.close()
+    world.find(run.estimator, least=1)
+    run.store.remember(link, 10.0 + 0.9 * kept.MEMORY_S)
+    assert not run.store._writer.is_busy
+    link.detach()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ import pytest
 import zmq
 
 from taxeld.config.file import parse
-from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import Why
@@ -30,6 +29,7 @@ from taxeld.stream import messages
 from taxeld_protocol.decoder import Scan
 from tests.rig.clocks import until
 from tests.rig.simulated_skin import SimulatedSkin
+from tests.rig.sockets import Sockets
 
 EVERY_KEY = [
     *("v", "seq", "t", "mono_ns", "valid", "why", "status"),
@@ -55,36 +55,26 @@ def settings(place: Path) -> str:
     )
 
 
-def subscribe(context: zmq.Context[Any], place: Path, topic: bytes) -> zmq.Socket[Any]:
-    socket = context.socket(zmq.SUB)
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.connect(f"ipc://{place}/stream")
-    socket.setsockopt(zmq.SUBSCRIBE, topic)
-    return socket
-
-
-def receive(daemon: Daemon, socket: zmq.Socket[Any]) -> list[bytes]:
-    deadline = time.monotonic() + 10.0
-    while time.monotonic() < deadline:
-        daemon.tick(time.monotonic())
-        if socket.poll(5):
-            parts: list[bytes] = socket.recv_multipart()
-            return parts
-    raise AssertionError("nothing was published")
-
-
-def test_estimates_are_what_plotjuggler_plots(daemon: Daemon, tmp_path: Path) -> None:
+def test_subscribers_hear_what_plotjuggler_plots_and_clients_are_answered(
+    daemon: Daemon, tmp_path: Path
+) -> None:
     """Topic, one map of plain types with string keys and no trailing bytes, a time in text."""
-    with zmq.Context() as context, subscribe(context, tmp_path, messages.ESTIMATE) as socket:
-        topic, body, stamp = receive(daemon, socket)
+    with Sockets() as sockets:
+        socket = sockets.subscriber(f"ipc://{tmp_path}/stream", messages.ESTIMATE)
+        asked = sockets.open(zmq.REQ)
+        asked.connect(f"ipc://{tmp_path}/control")
+        until(lambda: socket.poll(5), lambda: daemon.tick(time.monotonic()))
+        topic, body, stamp = socket.recv_multipart()
+        asked.send(msgpack.packb({"cmd": "reset"}))
+        until(lambda: asked.poll(5), lambda: daemon.tick(time.monotonic()))
+        assert msgpack.unpackb(asked.recv()) == {"ok": True}
     assert topic == b"/taxeld/estimate"
     message = msgpack.unpackb(body)
     assert list(message) == EVERY_KEY
     assert plain(message)
     assert float(stamp) >= 0.0
     assert stamp.decode().split(".")[1].isdigit()
-    assert message["status"] == 0
-    assert not message["valid"]
+    assert (message["status"], message["valid"]) == (0, False)
     assert list(message["lat_us"]) == ["source", "skin", "propose", "filter", "publish", "total"]
 
 
@@ -99,17 +89,11 @@ def plain(value: object) -> bool:
 def test_a_daemon_starts_without_a_kept_file_that_is_damaged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    state = tmp_path / "kept.npz"
-    state.write_bytes(b"PK" + bytes(1000))
-    before = state.read_bytes()
+    (tmp_path / "kept.npz").write_bytes(b"PK" + bytes(1000))
     daemon = Daemon(parse(settings(tmp_path) + f'[skin]\nstate_dir = "{tmp_path}"\n'))
-    try:
+    with contextlib.closing(daemon):
         daemon.tick(time.monotonic())
-        (line,) = [line for line in caplog.messages if "kept.npz" in line]
-        assert line.startswith(f"{state}: not used, it is ")
-    finally:
-        daemon.close()
-    assert state.read_bytes() == before
+    assert caplog.messages == [f"{tmp_path}/kept.npz: not used, it is damaged"]
 
 
 class Heard(list[tuple[bytes, dict[str, Any]]]):
@@ -353,108 +337,22 @@ def test_where_touches_take_longer_than_they_have_half_the_samples_are_drawn_and
     assert estimate["degraded"] == Degraded.ALL
 
 
-def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Path) -> None:
-    with zmq.Context() as context:
-        for _ in range(2):
-            with subscribe(context, tmp_path, b"/taxeld/") as socket:
-                topics = set()
-                while messages.INFO not in topics:
-                    topic, body, _ = receive(daemon, socket)
-                    topics.add(topic)
-                info = msgpack.unpackb(body)
-                assert info["layout"]["taxels"] == 80
-                assert info["status"]["3"] == "converged"
-                assert len(info["config_hash"]) == 16
-
-
-def ask(daemon: Daemon, socket: zmq.Socket[Any], body: bytes) -> dict[str, Any]:
-    socket.send(body)
-    deadline = time.monotonic() + 10.0
-    while not socket.poll(5) and time.monotonic() < deadline:
-        daemon.tick(time.monotonic())
-    answer: dict[str, Any] = msgpack.unpackb(socket.recv())
-    return answer
-
-
-def test_control_answers_and_survives_nonsense(daemon: Daemon, tmp_path: Path) -> None:
-    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.connect(f"ipc://{tmp_path}/control")
-        assert ask(daemon, socket, msgpack.packb({"cmd": "status"}))["estimate"]["status"] == 0
-        for command in ("tare", "reset"):
-            assert ask(daemon, socket, msgpack.packb({"cmd": command})) == {"ok": True}
-        for nonsense in (b"", b"\xc1", b"junk", msgpack.packb([1]), msgpack.packb({"cmd": 7})):
-            answer = ask(daemon, socket, nonsense)
-            assert not answer["ok"]
-            assert "known: status, info, memory, tare, reset" in answer["error"]
-
-
-def test_a_client_that_breaks_off_does_not_wedge_control(daemon: Daemon, tmp_path: Path) -> None:
-    with zmq.Context() as context:
-        for _ in range(3):
-            with context.socket(zmq.REQ) as socket:
-                socket.setsockopt(zmq.LINGER, 0)
-                socket.connect(f"ipc://{tmp_path}/control")
-                socket.send(msgpack.packb({"cmd": "status"}))  # and is gone
-        with context.socket(zmq.REQ) as socket:
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.connect(f"ipc://{tmp_path}/control")
-            assert ask(daemon, socket, msgpack.packb({"cmd": "status"}))["ok"]
-
-
-@pytest.mark.check
-@pytest.mark.parametrize(
-    ("changes", "glue", "fault"),
-    [
-        ({"theta": 90.0}, False, "messages come and are no poses: theta is beyond 1.5 turns: send"),
-        ({}, True, "messages come and are no poses: topic and map are one frame: send three"),
-        ({"x": 310.0}, False, "x or y is beyond 10 m: send metres, not millimetres"),
-    ],
-)
-def test_a_robots_mistake_is_named_in_the_answer_to_status(
-    tmp_path: Path, changes: dict[str, float], glue: bool, fault: str
-) -> None:
+def test_a_robots_mistake_is_named_in_the_answer_to_status(tmp_path: Path) -> None:
     text = settings(tmp_path) + f'[sensor_pose]\nendpoint = "ipc://{tmp_path}/poses"\n'
-    daemon = Daemon(parse(text))
-    with contextlib.closing(daemon), zmq.Context() as context, context.socket(zmq.PUB) as robot:
-        robot.setsockopt(zmq.LINGER, 0)
+    with contextlib.closing(Daemon(parse(text))) as daemon, Sockets() as sockets:
+        robot = sockets.open(zmq.PUB)
         robot.bind(f"ipc://{tmp_path}/poses")
+        good, bad = ({"t": 1.0, "x": 0, "y": 0.5, "theta": theta} for theta in (0.0, 90.0))
 
         def goes_on() -> None:
-            pose = {"t": time.time(), "x": 0.1, "y": 0.5, "theta": 0.0} | changes
-            parts = [messages.SENSOR_POSE, msgpack.packb(pose), b"1.0"]
-            robot.send_multipart([b"".join(parts[:2])] if glue else parts)
+            for pose in (good, bad):
+                robot.send_multipart([messages.SENSOR_POSE, msgpack.packb(pose), b"1.0"])
             daemon.tick(time.monotonic())
 
+        fault = "messages come and are no poses: theta is beyond 1.5 turns: send"
         until(lambda: daemon.publisher.state()["sensor_pose"]["fault"].startswith(fault), goes_on)
-
-
-def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
-    text = settings(tmp_path) + f'[sensor_pose]\nendpoint = "ipc://{tmp_path}/poses"\n'
-    daemon = Daemon(parse(text))
-    good = msgpack.packb({"t": 1.0, "x": 0, "y": 0.5, "theta": 0.0})
-    with zmq.Context() as context, context.socket(zmq.PUB) as robot:
-        robot.setsockopt(zmq.LINGER, 0)
-        robot.bind(f"ipc://{tmp_path}/poses")
-        deadline = time.monotonic() + 10.0
-        track = daemon.pipeline.poses
-        bad = [
-            b"",
-            msgpack.packb({"t": 1.0}),
-            msgpack.packb({"t": "x", "x": 0, "y": 0, "theta": 0}),
-        ]
-        while time.monotonic() < deadline and not (
-            track.latest_t == 1.0 and daemon.link.report.robot.malformed >= 4
-        ):
-            for body in bad:
-                robot.send_multipart([messages.SENSOR_POSE, body, b"1.0"])
-            robot.send_multipart([messages.SENSOR_POSE, good])
-            robot.send_multipart([messages.SENSOR_POSE, good, b"1.0"])
-            daemon.tick(time.monotonic())
-            time.sleep(0.005)
-    assert track.latest_t == 1.0
-    assert daemon.link.report.robot.malformed >= 4
-    daemon.close()
+        assert daemon.pipeline.poses.latest_t == 1.0
+        assert daemon.publisher.state()["health"]["inputs"]["poses_malformed"] > 0
 
 
 def test_taxels_say_where_the_sensor_was_or_that_nobody_knows() -> None:
@@ -465,11 +363,6 @@ def test_taxels_say_where_the_sensor_was_or_that_nobody_knows() -> None:
     nowhere = messages.taxels(felt, None, 7)
     assert nowhere["placed"] is False
     assert nowhere["sensor"] == {"x": 0.0, "y": 0.0, "theta": 0.0}
-
-
-def test_an_endpoint_without_its_directory_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(SetupError, match=r"publish\.endpoints: .* does not exist"):
-        Daemon(parse(settings(tmp_path / "missing")))
 
 
 def test_percentiles_are_of_the_last_scans_and_the_longest_is_since_start(daemon: Daemon) -> None:

@@ -9,6 +9,7 @@ the same run.
 import contextlib
 import errno
 import json
+import os
 import traceback
 import types
 from collections.abc import Iterable, Iterator, Mapping
@@ -129,11 +130,12 @@ class Run:
                 raise OSError(errno.EMFILE, "Too many open files")
             return pairs()
 
-        def given(link: Link, kind: Kind, *values: Any) -> None:
+        def given(link: Link, kind: Kind, *values: Any, file: int | None = None) -> None:
             there, before = link.end is not None, link.unsent
-            give(link, kind, *values)
+            give(link, kind, *values, file=file)
             if there and link.unsent == before:
-                self.taken.append((kind, msgpack.unpackb(msgpack.packb(list(values)))))
+                content = [] if file is None else [os.pread(file, os.fstat(file).st_size, 0)]
+                self.taken.append((kind, msgpack.unpackb(msgpack.packb([*values, *content]))))
 
         def posed(*given: Any) -> None:
             self._poses += 1

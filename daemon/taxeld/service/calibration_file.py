@@ -15,7 +15,7 @@ from taxeld.config.gate import ConfigError, between, key, parse
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.skin.calibration import Calibration, skin_digest
+from taxeld.skin.calibration import DAY_S, Calibration, skin_digest
 
 VERSION = 1
 MAX_AGE_DAYS = 180.0
@@ -102,43 +102,6 @@ def _pairs(table: Mapping[str, Any]) -> list[str]:
     return [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in plain.items()]
 
 
-def read(path: Path, layout: Layout, full_scale_depth_m: float) -> Calibration:
-    """The calibration of this very skin.
-
-    Raises:
-        SetupError: it is unreadable, damaged, or of another skin or depth.
-    """
-    try:
-        table = parse(CalibrationTable, text_of(path), path.name)
-    except ConfigError as error:
-        first = error.faults[0].removeprefix(f"{path.name}: ").removeprefix(f"{path}: ")
-        fault = first.replace("unreadable configuration", "unreadable").split("; name a")[0]
-        fault += f"; {len(error.faults) - 1} more faults" if len(error.faults) > 1 else ""
-    else:
-        fault = _fault(table, layout, full_scale_depth_m)
-    if fault:
-        raise SetupError(
-            f"skin.calibration: {path.name}: {fault}; calibrate this skin (taxeld calibrate), "
-            "or name its own file"
-        )
-    return _calibration(table)
-
-
-def _fault(table: CalibrationTable, layout: Layout, full_scale_depth_m: float) -> str:
-    """Why the calibration is not of this skin; empty where it is."""
-    own = skin_digest(layout)
-    if table.version != VERSION:
-        return f"it is of version {table.version}, not {VERSION}"
-    if table.skin != own or [t.uid for t in table.taxel] != layout.uid.tolist():
-        return f"it is of another layout ({table.skin}), not of {layout.name} ({own})"
-    if not math.isclose(table.full_scale_depth_m, full_scale_depth_m, rel_tol=1e-3):
-        return (
-            f"it is for skin.full_scale_depth_m = {table.full_scale_depth_m:g}, "
-            f"not {full_scale_depth_m:g}"
-        )
-    return ""
-
-
 def load(
     config: SkinConfig, layout: Layout, now: float, *, recorded: bool = False
 ) -> Calibration | None:
@@ -146,24 +109,44 @@ def load(
     be older than its calibration.
 
     Raises:
-        SetupError: it cannot be used, or is too old.
+        SetupError: it is unreadable, damaged, too old, or of another skin or depth.
     """
     if not config.calibration:
         return None
     path = Path(config.calibration)
-    found = read(path, layout, config.full_scale_depth_m)
-    age_days = found.age_days(now)
+    try:
+        table = parse(CalibrationTable, text_of(path), path.name)
+    except ConfigError as error:
+        first = error.faults[0].removeprefix(f"{path.name}: ").removeprefix(f"{path}: ")
+        fault = first.replace("unreadable configuration", "unreadable").split("; name a")[0]
+        fault += f"; {len(error.faults) - 1} more faults" if len(error.faults) > 1 else ""
+    else:
+        ahead_s = 0.0 if recorded else max(table.t - now, 0.0)
+        fault = _fault(table, config, layout, max(now - table.t, 0.0) / DAY_S, ahead_s / DAY_S)
+        if not fault:
+            return _calibration(table)
+    raise SetupError(
+        f"skin.calibration: {path.name}: {fault}; calibrate this skin (taxeld calibrate), "
+        "or name its own file"
+    )
+
+
+def _fault(
+    table: CalibrationTable, config: SkinConfig, layout: Layout, age_days: float, ahead_days: float
+) -> str:
+    """Why a calibration cannot be used; empty where it can."""
+    own, depth_m = skin_digest(layout), config.full_scale_depth_m
+    if table.version != VERSION:
+        return f"it is of version {table.version}, not {VERSION}"
+    if table.skin != own or [t.uid for t in table.taxel] != layout.uid.tolist():
+        return f"it is of another layout ({table.skin}), not of {layout.name} ({own})"
+    if not math.isclose(table.full_scale_depth_m, depth_m, rel_tol=1e-3):
+        return f"it is for skin.full_scale_depth_m = {table.full_scale_depth_m:g}, not {depth_m:g}"
     if age_days > MAX_AGE_DAYS:
-        raise SetupError(
-            f"skin.calibration: {path.name}: it is {age_days:.0f} days old, more than "
-            f"{MAX_AGE_DAYS:g}; calibrate the skin again (taxeld calibrate)"
-        )
-    if age_days < -FUTURE_DAYS and not recorded:
-        raise SetupError(
-            f"skin.calibration: {path.name}: it is from {-age_days:.0f} days ahead; set this "
-            "machine's clock"
-        )
-    return found
+        return f"it is {age_days:.0f} days old, more than {MAX_AGE_DAYS:g}"
+    if ahead_days > FUTURE_DAYS:
+        return f"it is from {ahead_days:.0f} days ahead: set this machine's clock"
+    return ""
 
 
 def _calibration(table: CalibrationTable) -> Calibration:

@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +105,7 @@ class Store:
         self._keep_s = KEEP_S if config.filter.motion == "none" else 0.0
         self._written_s, self._changes, self._captures = -math.inf, 0, 0
         self._is_forgotten = False
-        self._packed = b""  # scans for clients, until the door has them
+        self._packed: BinaryIO | None = None  # scans for clients, until the door has them
         self._handed: tuple[object, ...] = ()  # which scans were packed last, for which door
         self._next_memory_s = 0.0
         self._writer = Writer(str(self._path or NAME))
@@ -166,9 +166,10 @@ class Store:
     def remember(self, link: Link, now_s: float) -> None:
         """Hand the door the scans that the belief has learned from, for clients that learn them as
         well: once there are others, or another door. Never blocks."""
-        if self._packed:
-            link.remember(self._packed)
-            self._packed = b""
+        if self._packed is not None:
+            with self._packed as packed:
+                link.remember(packed.fileno())
+            self._packed = None
         if self._estimator is None or not link.is_ready or now_s < self._next_memory_s:
             return
         scans, changes = self._estimator.scans.all, self._estimator.scans.added
@@ -179,9 +180,10 @@ class Store:
         about = {"digest": np.array(self._estimator.digest), "changes": np.array(key[1:])}
 
         def pack() -> None:
-            packed = io.BytesIO()
+            packed = os.fdopen(os.memfd_create("memory"), "w+b")
             np.savez(packed, allow_pickle=False, **scan_arrays(scans), **about)
-            self._packed = packed.getvalue()
+            packed.flush()
+            self._packed = packed
 
         self._writer.give(pack)
 
@@ -191,6 +193,8 @@ class Store:
             self._writer.close(self._writing(self._path, time.time()))
         else:
             self._writer.close(lambda: None)
+        if self._packed is not None:
+            self._packed.close()
 
     def _writing(self, path: Path, t: float) -> Job:
         """The job of writing the content of Unix time t, of what does not change any more. A skin

@@ -25,7 +25,6 @@ from taxeld.service.kept import Store
 from taxeld.service.notify import Notifier
 from taxeld.service.prepare import digest, prepared
 from taxeld.service.publisher import LoopCounters, Publisher
-from taxeld.skin.calibration import DAY_S
 from taxeld.source.recorder import RecordCounters, Recorder
 from taxeld.stream import messages
 from taxeld.stream.link import Link
@@ -225,7 +224,7 @@ class Daemon:
                 **asdict(source.counters),
                 "bus": {fault: n for fault, n in source.bus.counts.items() if n},
             },
-            "calibration": {"age_s": calibration.age_days(t) * DAY_S if calibration else -1.0},
+            "calibration": {"age_s": t - calibration.t if calibration else -1.0},
             "door": {
                 "starts": self.door.starts,
                 "unsent": link.unsent,

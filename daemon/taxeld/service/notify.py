@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 
 STATUS_S = 1.0
 WATCHDOG_SHARE = 0.5  # share of the manager's time-out: the longest time between two signs of life
-MICRO = 1e-6
 
 
 class Notifier:
@@ -20,7 +19,9 @@ class Notifier:
         self._address = environ.get("NOTIFY_SOCKET", "")
         if self._address.startswith("@"):  # the abstract name space
             self._address = "\0" + self._address[1:]
-        self.watchdog_s = _watchdog_s(environ)
+        usec, pid = environ.get("WATCHDOG_USEC", ""), environ.get("WATCHDOG_PID", "")
+        is_watched = usec.isdecimal() and pid in ("", str(os.getpid()))
+        self.watchdog_s = 1e-6 * int(usec) if is_watched else 0.0  # the manager's time-out
         self._socket: socket.socket | None = None
         if self._address:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
@@ -56,10 +57,3 @@ class Notifier:
                 self._socket.sendto(message.encode(), self._address)
                 return True
         return False
-
-
-def _watchdog_s(environ: Mapping[str, str]) -> float:
-    """The manager's time-out [s]; 0 where it does not watch this process."""
-    usec, pid = environ.get("WATCHDOG_USEC", ""), environ.get("WATCHDOG_PID", "")
-    watched = usec.isdecimal() and pid in ("", str(os.getpid()))
-    return int(usec) * MICRO if watched else 0.0

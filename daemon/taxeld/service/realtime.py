@@ -10,11 +10,13 @@ import math
 import os
 import resource
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 COLLECT_S = 60.0
-SWITCH_S = 0.0005  # time after which another thread gives the interpreter back
+SWITCH_S = 0.0001  # time after which another thread gives the interpreter back
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4  # mlockall(2)
 
 
@@ -27,25 +29,20 @@ class RealTime:
 
 
 class Collector:
-    """The cyclic collector, run when it disturbs nothing.
-
-    The work of a tick makes no cycles, but drivers make some when a device is opened or fails to
-    open: python-can leaves about 36 objects an attempt.
-    """
+    """The cyclic collector, run when it disturbs nothing: once a minute, and when a device was
+    opened or could not be, of which python-can leaves about 36 objects an attempt."""
 
     def __init__(self) -> None:
-        self._attempts = 0
-        self._next_s = -math.inf
+        self._attempts, self._next_s = 0, -math.inf
 
     def tick(self, now_s: float, attempts: int, *, pressed: bool) -> bool:
         """Run the collector if due; → whether it ran. `attempts`: to open the device, since start;
         `pressed`: whether the skin is touched."""
-        if attempts == self._attempts and (pressed or now_s < self._next_s):
-            return False
-        self._attempts = attempts
-        self._next_s = now_s + COLLECT_S
-        gc.collect()
-        return True
+        is_due = attempts != self._attempts or (now_s >= self._next_s and not pressed)
+        if is_due:
+            self._attempts, self._next_s = attempts, now_s + COLLECT_S
+            gc.collect()
+        return is_due
 
 
 def trim() -> None:
@@ -59,7 +56,9 @@ def thread(priority: int) -> Iterator[RealTime]:
     """Make the calling thread, already warmed up, a real-time thread; → the granted settings.
 
     `priority` is of SCHED_FIFO, 1..99; with 0 the scheduler and memory are left unchanged. The
-    cyclic collector does not run by itself meanwhile (see `Collector`).
+    process's other threads get the priority below it: one of ordinary priority would keep the
+    interpreter from the loop for as long as other processes keep the processor from it. The cyclic
+    collector does not run by itself meanwhile (see `Collector`).
     """
     gc.collect()
     gc.freeze()
@@ -67,14 +66,17 @@ def thread(priority: int) -> Iterator[RealTime]:
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
     fifo = priority if priority and _schedule(_FIFO, priority) else 0
+    threads = [int(task.name) for task in Path("/proc/self/task").iterdir()] if fifo else []
+    for each in set(threads) - {threading.get_native_id()}:
+        _schedule(_FIFO, max(priority - 1, 1), each)
     locked = bool(priority) and _lock()
     try:
         yield RealTime(fifo, locked)
     finally:
         if locked:
             ctypes.CDLL(None).munlockall()
-        if fifo:
-            _schedule(os.SCHED_OTHER, 0)
+        for each in threads:
+            _schedule(os.SCHED_OTHER, 0, each)
         sys.setswitchinterval(before_s)
         gc.enable()
         gc.unfreeze()
@@ -83,12 +85,12 @@ def thread(priority: int) -> Iterator[RealTime]:
 _FIFO = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
-def _schedule(policy: int, priority: int) -> bool:
-    try:
-        os.sched_setscheduler(0, policy, os.sched_param(priority))
-    except OSError:
-        return False
-    return True
+def _schedule(policy: int, priority: int, thread: int = 0) -> bool:
+    """`thread`: its number in the kernel; 0: the calling one."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(thread, policy, os.sched_param(priority))
+        return True
+    return False
 
 
 def _lock() -> bool:
@@ -96,8 +98,4 @@ def _lock() -> bool:
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if limit != resource.RLIM_INFINITY and os.geteuid() != 0:
         return False
-    try:
-        locked = ctypes.CDLL(None).mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT)
-    except (OSError, AttributeError):
-        return False
-    return bool(locked == 0)
+    return bool(ctypes.CDLL(None).mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0)

@@ -36,10 +36,6 @@ class Calibration:
     noise_counts: Floats  # (M,) sd of a reading at rest
     frozen: Bools  # (M,) taxels that never changed
 
-    def age_days(self, now: float) -> float:
-        """Age at Unix time `now` [s]."""
-        return (now - self.t) / DAY_S
-
 
 @dataclass(frozen=True, slots=True)
 class SkinState:

@@ -108,10 +108,11 @@ class Link:
         if self.is_ready:
             self._give(Kind.STATE, state)
 
-    def remember(self, scans: bytes) -> None:
-        """The scans that the belief has learned from, for clients that learn them as well."""
+    def remember(self, scans: int) -> None:
+        """The scans that the belief has learned from, an open file of numpy's, for clients that
+        learn them as well."""
         if self.is_ready:
-            self._give(Kind.MEMORY, scans)
+            self._give(Kind.MEMORY, file=scans)
 
     def ask_poses(self, *, also_next: bool) -> None:
         """Have the door pass on the robot's poses that have come, and, if `also_next`, the next
@@ -185,10 +186,10 @@ class Link:
         kind = type(error).__name__
         log.error("%s: failed at %s:%s (%s: %s)", what, at.filename, at.lineno, kind, error)
 
-    def _give(self, kind: Kind, *values: object) -> None:
+    def _give(self, kind: Kind, *values: object, file: int | None = None) -> None:
         if self.end is None:
             return
         try:
-            self.unsent += not pair.send(self.end, kind, *values)
+            self.unsent += not pair.send(self.end, kind, *values, file=file)
         except OSError:  # the door is gone, which the next look finds
             self.unsent += 1

@@ -19,7 +19,7 @@ To the loop:
     REPORT   map: what the door counts, once a second
     LOG      level, a line
 
-A packet that is too large goes as a file in memory, by its descriptor.
+A packet that is too large goes as a file in memory, by its descriptor; so do the scans of MEMORY.
 """
 
 import os
@@ -59,15 +59,17 @@ def open_pair() -> tuple[socket.socket, socket.socket]:
     return loop, door
 
 
-def send(end: socket.socket, kind: Kind, *values: object) -> bool:
-    """Whether the packet went out; never waits.
+def send(end: socket.socket, kind: Kind, *values: object, file: int | None = None) -> bool:
+    """Whether the packet went out; never waits. The content of an open `file` is one value more.
 
     Raises:
         OSError: the other end is gone, or no descriptor is left.
     """
     packet: bytes = msgpack.packb([int(kind), *values])
     try:
-        if len(packet) <= PACKET_MAX:
+        if file is not None:
+            socket.send_fds(end, [packet], [file])
+        elif len(packet) <= PACKET_MAX:
             end.send(packet)
         else:
             _send_large(end, packet)
@@ -100,11 +102,13 @@ def receive(end: socket.socket) -> tuple[int, list[Any]] | None:
         return None
     if not data:
         raise EOFError
+    packet = msgpack.unpackb(data)
     if files:
         with os.fdopen(files[0], "rb") as reader:
             reader.seek(0)
-            data = reader.read()
-    kind, *values = msgpack.unpackb(data)
+            content = reader.read()
+        packet = msgpack.unpackb(content) if packet is None else [*packet, content]
+    kind, *values = packet
     return kind, values
 
 
