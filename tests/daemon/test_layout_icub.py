@@ -87,10 +87,7 @@ def test_what_is_no_positions_file_is_refused(text: str) -> None:
 @pytest.mark.parametrize(
     ("name", "taxels", "triangles", "radius_mm"),
     [
-        ("left_arm", 350, 35, 42.3),
         ("left_forearm_V2", 240, 24, 37.0),
-        ("left_forearm_nomesh", 229, 23, 32.3),
-        ("left_hand_V2_1", 44, 4, math.inf),
         ("torso", 440, 44, math.inf),
     ],
 )

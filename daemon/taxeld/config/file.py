@@ -71,28 +71,28 @@ def parse(text: str, name: str = "configuration") -> Config:
     Raises:
         ConfigError: all faults at once.
     """
-    try:
-        data = gate.loads(text)
-    except ValueError as error:
-        raise ConfigError([f"{name}: {error}"]) from None
     faults: list[str] = []
     links: tuple[LinkConfig, ...] = ()
-    own = None  # the source of the first of several links
-    if isinstance(tables := data.get("skin"), list):
-        links = gate.value(tuple[LinkConfig, ...], tables, faults, "skin")
+    try:
+        given = gate.loads(text)
+    except ValueError as error:
+        raise ConfigError([f"{name}: {error}"]) from None
+    data, own = given, None  # own: the source of the first of several links
+    if isinstance(given.get("skin"), list):
+        links = gate.value(tuple[LinkConfig, ...], given["skin"], faults, "skin")
         own = links[0].source if links and links[0] else None
-        data = ({"source": {"kind": KINDS[0]}} if own else {}) | data | {"skin": {}}
+        data = ({"source": {"kind": KINDS[0]}} if own else {}) | given | {"skin": {}}
     config = gate.take(Config, data, faults)
     if config is None or faults:
         raise ConfigError(faults)
     if links:
-        common = own if own and "source" not in gate.loads(text) else config.source
+        common = own if own and "source" not in given else config.source
         links = tuple(
             replace(link, name=link.name or f"link{k}", source=link.source or common)
             for k, link in enumerate(links, 1)
         )
         config = replace(config, links=links, skin=links[0], source=links[0].source or common)
-    config = replace(config, is_sized=not data.get("filter", {}).keys().isdisjoint(SIZES))
+    config = replace(config, is_sized=not given.get("filter", {}).keys().isdisjoint(SIZES))
     if faults := list(_faults(config)):
         raise ConfigError(faults)
     return config
