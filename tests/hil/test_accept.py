@@ -330,7 +330,7 @@ def test_the_json_is_strict_and_has_a_row_for_each_taxel() -> None:
         ("can:can0", "can", "socketcan", "can0"),
         ("slcan:/dev/ttyACM0@3000000", "can", "slcan", "/dev/ttyACM0@3000000"),
         ("pcan:PCAN_USBBUS1", "can", "pcan", "PCAN_USBBUS1"),
-        ("serial:/dev/ttyACM0", "serial", "socketcan", "/dev/ttyACM0"),
+        ("serial:/dev/ttyACM0@115200", "serial", "socketcan", "/dev/ttyACM0@115200"),
     ],
 )
 def test_a_target_is_one_of_the_daemons_sources(
@@ -339,4 +339,3 @@ def test_a_target_is_one_of_the_daemons_sources(
     config = source_of(target, 20)
     assert (config.kind, config.interface, config.channel) == (kind, interface, channel)
     assert config.period_ms == 20
-    assert source_of("serial:/dev/ttyUSB0@115200", 50).baud == 115_200

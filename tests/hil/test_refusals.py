@@ -45,9 +45,15 @@ WRONG = [  # a command line, and words of its line
     (f"{EMULATE} ''", NO_ENDPOINT),
     (f"accept slcan:/dev/nothing {ACCEPT}", "plugged in"),
     (f"accept serial:/dev/nothing {ACCEPT}", "plugged in"),
-    (f"accept serial:/dev/nothing@fast {ACCEPT}", "'fast' is no baud rate"),
-    (f"accept slcan:/dev/nothing@fast {ACCEPT}", "use slcan:/dev/nothing@115200"),
-    (f"accept serial:/dev/nothing@99999999999999999999 {ACCEPT}", "is no baud rate"),
+    (
+        f"accept serial:/dev/nothing@fast {ACCEPT}",
+        "a line speed, as /dev/nothing@921600",
+    ),
+    (f"accept slcan:/dev/nothing@fast {ACCEPT}", "a line speed, as /dev/nothing@115200"),
+    (
+        f"accept serial:/dev/nothing@99999999999999999999 {ACCEPT}",
+        "and a line speed",
+    ),
     (f"accept no_such:x {ACCEPT}", "driver installed"),
     (f"accept can0 {ACCEPT}", "use can:can0"),
     (f"accept can: {ACCEPT}", "use can:can0"),

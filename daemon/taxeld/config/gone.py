@@ -34,6 +34,7 @@ GONE: dict[str, str] = {
     'source.kind = "replay"': SESSION,
     "source.path": SESSION,
     "source.framing": 'an SLCAN adapter is kind = "can", interface = "slcan"',
+    "source.baud": "add it to source.channel, as /dev/ttyACM0@921600",
     "skin.learn": "it is on; no experiment has shown that it costs touches",
     "budget": "auto takes the bundle's first that needs 5 ms; filter.proposal names another",
     "filter.noise_sigma": MEASURED,

@@ -83,9 +83,10 @@ class SkinConfig:
 class SourceConfig:
     kind: str = key(check=one_of(*KINDS), doc=", ".join(KINDS))
     interface: str = key("socketcan", doc="kind can: socketcan, slcan, or any of python-can's")
-    channel: str = key("", doc="kind can: can0, or an adapter's device; kind serial: the device")
+    channel: str = key(
+        "", doc="can0, or the device of an adapter or a hub; its line speed may follow: …@921600"
+    )
     bitrate: int = key(1_000_000, one_of(*BITRATES), "bit/s of the CAN bus")
-    baud: int = key(921_600, between(1200, 12_000_000), "kind serial: line speed, bit/s")
     endpoint: str = key("", doc="kind array: PUB endpoint of its sender")
     array: str = key("", doc="kind array: the id that is heard; empty: the first that comes")
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")

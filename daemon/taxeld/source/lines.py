@@ -25,7 +25,7 @@ from taxeld_protocol.serial_link import DELIMITER
 
 BYTES_PER_POLL = 65536
 SPEEDS = range(1200, 12_000_001)  # bit/s
-ADAPTER_BAUD = 115_200  # speed where the channel names none, unlike /dev/ttyACM0@921600
+LINK_BAUD, ADAPTER_BAUD = 921_600, 115_200  # where the channel names none, as /dev/ttyACM0@9600
 ANSWER_S = 0.2  # time for an answer; an adapter on USB needs about 0.02
 SILENCE_S = 1.0  # time without a frame after which the channel is opened again
 SILENT_PERIODS = 2.5  # scan periods of silence before reopening, if longer than SILENCE_S
@@ -56,25 +56,20 @@ FRAMES = (b"t", b"T", b"r", b"R", b"d", b"D", b"b", b"B")  # first letters of a 
 SHORTEST = 5  # bytes of a frame's line
 
 
-def line_speed(text: str) -> int | None:
-    """A line speed [bit/s] as a user writes it; None where the text is none."""
-    digits = text.isdecimal() and len(text) <= len(str(SPEEDS[-1]))
-    return int(text) if digits and int(text) in SPEEDS else None
-
-
-def adapter_line(channel: str) -> tuple[str, int]:
-    """The device and line speed in an SLCAN `channel`.
+def line_of(channel: str, usual: int) -> tuple[str, int]:
+    """The device and line speed in a `channel`; the `usual` one where it names none.
 
     Raises:
         SetupError: the text after its @ is no line speed.
     """
     path, at, baud = channel.partition("@")
-    speed = line_speed(baud) if at else ADAPTER_BAUD
-    if speed is None:
+    if not at:
+        return path, usual
+    if len(baud) > len(str(SPEEDS[-1])) or not baud.isdecimal() or int(baud) not in SPEEDS:
         raise SetupError(
-            f"source.channel: {channel} must end with @ and a line speed, as {path}@{ADAPTER_BAUD}"
+            f"source.channel: {channel} must end with @ and a line speed, as {path}@{usual}"
         )
-    return path, speed
+    return path, int(baud)
 
 
 class SerialLine(Device):
@@ -147,7 +142,7 @@ class SerialDevice(SerialLine):
     """A hub's own link on a serial line."""
 
     def __init__(self, config: SourceConfig) -> None:
-        super().__init__(config.channel, config.baud)
+        super().__init__(*line_of(config.channel, LINK_BAUD))
 
     def read(self) -> list[Chunk]:
         data = self._receive()
@@ -164,7 +159,7 @@ class SlcanDevice(SerialLine):
 
     def __init__(self, config: SourceConfig) -> None:
         """Raises SetupError where the line cannot be opened."""
-        self._where, baud = adapter_line(config.channel)
+        self._where, baud = line_of(config.channel, ADAPTER_BAUD)
         super().__init__(self._where, baud)
         self._reader = slcan.SlcanReader()
         self._listen_only = config.listen_only

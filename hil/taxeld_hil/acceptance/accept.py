@@ -12,7 +12,6 @@ from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.service.doorkeeper import array_heard
 from taxeld.source.device import BusyError
-from taxeld.source.lines import ADAPTER_BAUD, line_speed
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source
 from taxeld_hil.acceptance.press import ask
@@ -93,14 +92,8 @@ def source_of(target: str, period_ms: int) -> SourceConfig:
         if fault := endpoints.fault(channel):
             raise SetupError(f"TARGET: {fault}")
         return SourceConfig(kind="array", endpoint=channel, period_ms=period_ms)
-    device, at, baud = channel.partition("@")
-    is_line = kind in ("serial", "slcan")
-    speed = line_speed(baud) if at and is_line else None
-    if at and is_line and speed is None:
-        raise SetupError(f"TARGET: '{baud}' is no baud rate; use {kind}:{device}@{ADAPTER_BAUD}")
     if kind == "serial":
-        config = SourceConfig(kind="serial", channel=device, period_ms=period_ms)
-        return config if speed is None else replace(config, baud=speed)
+        return SourceConfig(kind="serial", channel=channel, period_ms=period_ms)
     interface = "socketcan" if kind == "can" else kind
     return SourceConfig(kind="can", interface=interface, channel=channel, period_ms=period_ms)
 
