@@ -1,7 +1,6 @@
 """`source.kind = "array"`: a daemon finds a box by arrays alone, and a recording replays."""
 
 import json
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.skin.skin import Skin
 from taxeld.source import session
-from taxeld.source.recorder import Recorder
 from taxeld.source.sources import open_source
 from taxeld_hil import cli as hil
 from taxeld_protocol.array import FULL, REST, ArrayDecoder, ArrayFrame
@@ -27,7 +25,7 @@ from tests.rig.clocks import until
 from tests.rig.configurations import configuration, toml
 from tests.rig.pressed_box import TRUTH
 from tests.rig.processes import free_port, replayed, taxeld
-from tests.rig.sessions import items_of, read
+from tests.rig.sessions import items_of
 from tests.rig.skins import SKIN
 from tests.rig.sockets import Sockets
 
@@ -79,39 +77,6 @@ def frames(count: int, rest: int = REST) -> list[ArrayFrame]:
         counts[i % len(counts)] = 0
         found.append(ArrayFrame(1e9 + i / 20.0, "arm", rest, tuple(counts)))
     return found
-
-
-def written(place: Path, items: list[ArrayFrame]) -> Path:
-    recorder = Recorder(place, moves=False)
-    with recorder:
-        for item in items:
-            recorder.take(item)
-    assert recorder.counters.frames == len(items)
-    return place
-
-
-@pytest.mark.parametrize("rest", [0, REST])
-def test_a_recording_holds_each_frame_and_a_cut_one_all_whole_lines(
-    tmp_path: Path, rest: int
-) -> None:
-    sent = frames(30, rest)
-    place = written(tmp_path / "whole", sent)
-    assert items_of(place) == sent
-    assert session.begun(place) == sent[0].t
-    data = (place / session.ARRAY).read_bytes()
-    rng = np.random.default_rng(0)
-    for size in rng.integers(0, len(data), 40):
-        cut = shutil.copytree(place, tmp_path / "cut", dirs_exist_ok=True)
-        (cut / session.ARRAY).write_bytes(data[:size])
-        assert items_of(cut) == sent[: data[:size].count(b"\n")]
-
-
-def test_a_damaged_line_of_a_recording_is_named(tmp_path: Path) -> None:
-    place = written(tmp_path / "session", frames(3))
-    lines = (place / session.ARRAY).read_text(encoding="ascii").splitlines(keepends=True)
-    (place / session.ARRAY).write_text(lines[0] + "[]\n" + lines[2], encoding="ascii")
-    with pytest.raises(SetupError, match=r"array\.jsonl: line 2 is no array \(it is no map"):
-        read(place)
 
 
 def scans(items: list[ArrayFrame], uids: Sequence[int] = UIDS) -> list[Scan]:

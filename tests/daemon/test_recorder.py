@@ -286,23 +286,13 @@ def test_a_disk_that_hangs_costs_records_and_never_the_caller(
         for number in range(2000):
             recorder.take(frame(number))  # in this thread, which the disk would stop for ever
         dropped = recorder.counters.dropped
+        recorder.take(Chunk(1.0, bytes(100_000)))  # bytes count, not records alone
+        assert recorder.counters.dropped == dropped + 1
         disk.moves.set()
         until(lambda: recorder.counters.frames + dropped == 2000)
         recorder.take(frame(3000))
     assert 1000 < dropped < 2000
     assert items_of(tmp_path / "s")[-1] == frame(3000)
-
-
-def test_what_a_line_brings_is_bounded_by_its_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    disk = Disk(monkeypatch)
-    with Recorder(tmp_path / "s", moves=False) as recorder:
-        disk.moves.clear()
-        for number in range(300):
-            recorder.take(Chunk(float(number), bytes(65_536)))
-        assert recorder.counters.dropped > 50
-        disk.moves.set()
 
 
 def test_all_that_is_recorded_is_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ import json
 import logging
 import os
 import shutil
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -23,13 +24,15 @@ from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
+from taxeld.source.session import Item
 from taxeld.stream import messages
 from taxeld_protocol import cyskin, serial_link
+from taxeld_protocol.array import FULL, REST, ArrayFrame
 from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.commands import refused
 from tests.rig.configurations import config, configuration
-from tests.rig.sessions import read
+from tests.rig.sessions import items_of, poses_of, read
 from tests.rig.skins import CHANNELS, MODULES, SKIN
 from tests.rig.virtual_hub import told
 
@@ -54,31 +57,34 @@ def config_of(transport: str) -> Config:
     return config(source=SOURCES[transport], filter=few, sensor_pose=robot)
 
 
-def sent(transport: str) -> Iterator[Frame | Chunk]:
+def sent(transport: str, scans: int = SCANS) -> Iterator[Item]:
     """What a hub tells of its modules, and idle, touched and idle scans, as they come over the
-    wire; a line is read in odd pieces."""
+    wire; a line is read in odd pieces. Of an array: its frames."""
     hub, rng = VirtualIhb(MODULES), np.random.default_rng(0)
-    for scan in range(SCANS):
+    for scan in range(scans):
+        t = 100.0 + scan * PERIOD_S
+        if transport == "array":
+            z = (REST + rng.integers(1, FULL, len(SKIN))).tolist()
+            yield ArrayFrame(t, "arm", REST, (0, *z[1:]))  # a taxel that was not read
+            continue
         counts = 1000 + rng.normal(0.0, 20.0, CHANNELS)
-        counts[36:44] += 8000.0 * (SCANS - 8 <= scan < SCANS - 3)
+        counts[36:44] += 8000.0 * (scans - 8 <= scan < scans - 3)
         line = b""
         answers = [*([] if scan else told(hub)), *hub.sensor_data(counts.astype(int).tolist())]
         for command, payload in answers:
-            frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + scan * PERIOD_S)
             if transport == "can":
-                yield from frames
+                yield from cyskin.to_frames(command, payload, ihb=1, t=t)
             else:
                 line += serial_link.encode(command, payload, ihb=1)
         for start in range(0, len(line), 97):
-            t = 100.0 + scan * PERIOD_S + 1e-5 * start
-            yield Chunk(t, line[start : start + 97])
+            yield Chunk(t + 1e-5 * start, line[start : start + 97])
 
 
-def record(place: Path, transport: str) -> None:
+def record(place: Path, transport: str, scans: int = SCANS, poses: int = 20 + 5 * SCANS) -> None:
     with Recorder(place, moves=True) as recorder:
-        for item in sent(transport):
+        for item in sent(transport, scans):
             recorder.take(item)
-        for k in range(20 + round(100 * SCANS * PERIOD_S)):
+        for k in range(poses):
             recorder.pose(99.9 + 0.01 * k, 0.001 * k, -0.002, 0.01 * k)
 
 
@@ -108,7 +114,7 @@ def recorded(
 
 @given(data=st.data())
 @settings(
-    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_a_session_that_is_cut_at_any_byte_of_any_file_replays_to_where_it_was_cut(
     recorded: tuple[str, Path, list[str]], caplog: pytest.LogCaptureFixture, data: st.DataObject
@@ -133,6 +139,61 @@ def test_a_session_that_is_cut_at_any_byte_of_any_file_replays_to_where_it_was_c
     assert len(caplog.messages) == bool(lost)
 
 
+@pytest.mark.check
+@pytest.mark.parametrize("transport", ["can", "native", "array"])
+def test_a_recording_that_is_cut_at_each_of_its_bytes_has_all_that_stands_before_the_cut(
+    tmp_path: Path, transport: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """And one line says what is missing."""
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    record(whole, transport, scans=2, poses=3)
+    items, poses = read(whole)
+    ends = np.cumsum([len(item.data) for item in items if isinstance(item, Chunk)])
+    shutil.copytree(whole, cut)
+    for path in sorted(whole.iterdir()):
+        content = path.read_bytes()
+        for size in range(len(content)):
+            (cut / path.name).write_bytes(content[:size])
+            caplog.clear()
+            is_empty = path.name == session.POSES and size == 0
+            found, found_poses = read(cut)
+            lines = content[:size].count(b"\n")
+            if path.name in (session.FRAMES, session.ARRAY):
+                assert found == items[:lines]
+            elif path.name == session.SERIAL:
+                left = b"".join(c.data for c in found if isinstance(c, Chunk))
+                assert left == content[:size], "up to the last byte"
+            elif path.name == session.SERIAL_TIMES:  # the last row's bytes have an end no more
+                assert found == items[: max(lines - 2, 0)]
+            elif path.name == session.POSES:
+                assert found_poses == poses[: max(lines - 1, 0)]
+            elif transport == "native":  # the end of the last row's bytes is not known
+                assert found in (items, items[:-1])
+            else:
+                assert found == items
+            assert is_empty or path.name == session.POSES or found_poses == poses
+            (message,) = caplog.messages
+            assert message.startswith(f"{cut}: the recording was cut; used are ")
+        (cut / path.name).write_bytes(content)
+    assert transport != "native" or len(ends) == len(items)
+
+
+def test_the_line_on_a_cut_session_tells_what_is_missing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    record(tmp_path, "can", scans=1)
+    frames, poses = len(items_of(tmp_path)), len(poses_of(tmp_path))
+    assert caplog.messages == [], "of a whole one there is none"
+    text = (tmp_path / session.FRAMES).read_bytes()
+    (tmp_path / session.FRAMES).write_bytes(text[:-9])
+    read(tmp_path)
+    assert caplog.messages == [
+        f"{tmp_path}: the recording was cut; used are {frames - 1} of {frames} frames, "
+        f"{poses} of {poses} sensor poses"
+    ]
+
+
 def test_a_cut_costs_the_end_alone(recorded: tuple[str, Path, list[str]]) -> None:
     """Three quarters of the frames, or of the bytes, or of the rows, give that share of scans."""
     transport, place, whole = recorded
@@ -149,6 +210,44 @@ def test_a_cut_costs_the_end_alone(recorded: tuple[str, Path, list[str]]) -> Non
         assert 0.7 * SCANS <= len(found) <= 0.75 * SCANS
 
 
+def test_a_session_of_any_length_takes_the_same_memory(tmp_path: Path) -> None:
+    lines = (tmp_path / session.FRAMES, tmp_path / session.POSES)
+    lines[0].write_text("(1000.000000) can0 101#431A000027102711\n" * 50_000, encoding="ascii")
+    lines[1].write_text("t,x,y,theta\n" + "1000.0,0.1,0.2,0.3\n" * 50_000, encoding="ascii")
+    tracemalloc.start()
+    try:
+        assert sum(1 for _ in session.records(tmp_path)) == 100_000
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_what_came_of_several_links_stands_in_one_session_and_comes_back_in_order(
+    tmp_path: Path,
+) -> None:
+    """Also where a bus, two lines and an array are mixed, and the clock is set back."""
+    pose = (1.4, 0.1, -0.2, 3.0)
+    came: list[tuple[Item, int]] = [
+        (Frame(1.25, 0x101, b"\x43\x00"), 0),
+        (Chunk(1.3, b"abc"), 1),
+        ((1.35, *pose[1:]), 0),
+        (Chunk(1.375, b"d"), 3),
+        (pose, 2),
+        (Frame(1.5, 0x18DAF110, b"", True), 4),
+        (ArrayFrame(1.6, "arm", 0, (1, 2)), 0),
+        (Chunk(1.7, b"ef"), 1),
+    ]
+    later = [(item._replace(t=item.t - 1.0), k) for item, k in came if isinstance(item, Frame)]
+    with Recorder(tmp_path, moves=True, links=5) as recorder:
+        for item, link in [*came, *later]:
+            recorder.take(item, link)
+    found = list(session.records(tmp_path))
+    assert [(each.item, each.link) for each in found] == [*came, *later]
+    assert [each.steps for each in found] == [0] * len(came) + [1] * len(later)
+    assert session.begun(tmp_path) == 1.25
+    assert poses_of(tmp_path, 2) == [pose]
+
+
 def test_a_number_that_was_cut_is_no_number(tmp_path: Path) -> None:
     path = tmp_path / session.POSES
     path.write_text("t,x,y,theta\n1.0,0.1,0.2,0.3\n2.0,0.1,0.2,0.312", encoding="ascii")
@@ -157,62 +256,66 @@ def test_a_number_that_was_cut_is_no_number(tmp_path: Path) -> None:
 
 def test_zeros_that_a_power_cut_left_at_the_end_are_no_record(tmp_path: Path) -> None:
     """As file systems do that have stored a file's length before what is in it."""
-    record(tmp_path, "can")
-    whole = read(tmp_path)
-    for name in (session.FRAMES, session.POSES, session.ABOUT):
-        with (tmp_path / name).open("ab") as file:
-            file.write(bytes(4096))
-    assert read(tmp_path) == whole
+    for transport in ("can", "native"):
+        place = tmp_path / transport
+        record(place, transport)
+        whole = read(place)
+        for path in place.iterdir():
+            with path.open("ab") as file:
+                file.write(bytes(4096))
+        assert read(place) == whole
 
 
 @pytest.mark.parametrize(
-    ("name", "row"), [(session.FRAMES, b"(1.0) can0 1"), (session.POSES, b"1.5,0.2")]
+    ("transport", "name", "row", "fault"),
+    [
+        ("can", session.FRAMES, b"(1.0) can0 1\n", r"line 8 is no candump line"),
+        ("can", session.POSES, b"1.5,0.2\n", r"line 8 is not t,x,y,theta"),
+        ("array", session.ARRAY, b"[]\n", r"line 8 is no array .it is no map"),
+        ("native", session.SERIAL_TIMES, b"t,row\n", r"line 8 is not t,offset"),
+        ("native", session.SERIAL_TIMES, b"2.0,nine\n", r"line 8 is not t,offset"),
+        ("native", session.SERIAL_TIMES, b"2.0,3\n", r"its offsets do not begin at 0, or fall"),
+    ],
 )
 def test_damage_that_is_not_at_the_end_is_an_error_with_its_line(
-    tmp_path: Path, name: str, row: bytes
+    tmp_path: Path, transport: str, name: str, row: bytes, fault: str
 ) -> None:
-    record(tmp_path, "can")
+    record(tmp_path, transport)
     lines = (tmp_path / name).read_bytes().splitlines(keepends=True)
-    (tmp_path / name).write_bytes(b"".join([*lines[:7], row, b"\n", *lines[7:]]))
-    with pytest.raises(SetupError, match=f"{name}: line 8 is "):
+    (tmp_path / name).write_bytes(b"".join([*lines[:7], row, *lines[7:]]))
+    with pytest.raises(SetupError, match=f"{name}: {fault}"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("times", "fault"),
+    [
+        ("t,row\n", "must begin with the line t,offset"),
+        ("t,offset\n1.0,5\n", "offsets do not begin at 0"),
+        ("t,offset\n", "holds no frames, it is empty"),
+    ],
+)
+def test_a_line_without_its_times_is_refused(tmp_path: Path, times: str, fault: str) -> None:
+    (tmp_path / session.SERIAL).write_bytes(bytes(20))
+    (tmp_path / session.SERIAL_TIMES).write_text(times, encoding="ascii")
+    with pytest.raises(SetupError, match=fault):
         read(tmp_path)
 
 
 @pytest.mark.parametrize("name", [session.FRAMES, session.POSES, session.ABOUT])
-def test_a_line_without_end_is_one_line_of_error_and_takes_no_memory(
+def test_a_line_without_end_and_a_pipe_are_one_line_of_error_and_keep_nobody_waiting(
     tmp_path: Path, name: str
 ) -> None:
-    record(tmp_path, "can")
+    record(tmp_path, "can", scans=2)
     with (tmp_path / name).open("ab") as file:
         file.write(b"0" * 5000)
         file.truncate(1 << 36)  # a file with a hole; more than there is memory
     with pytest.raises(SetupError, match=rf"{name}: damaged \(line \d+ is longer than 4096 bytes"):
         read(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("transport", "name"),
-    [
-        ("can", session.FRAMES),
-        ("can", session.POSES),
-        ("native", session.SERIAL),
-    ],
-)
-def test_a_pipe_in_place_of_a_file_of_a_session_keeps_nobody_waiting(
-    tmp_path: Path, transport: str, name: str
-) -> None:
-    record(tmp_path, transport)
     (tmp_path / name).unlink()
     os.mkfifo(tmp_path / name)
     with pytest.raises(SetupError, match=f"{name}: unreadable .it is no regular file"):
         read(tmp_path)
-
-
-def test_a_whole_session_says_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO)
-    record(tmp_path, "native")
-    read(tmp_path)
-    assert caplog.messages == []
 
 
 def test_a_session_without_a_version_is_read_as_the_first(tmp_path: Path) -> None:
@@ -235,7 +338,7 @@ def test_a_session_without_a_version_is_read_as_the_first(tmp_path: Path) -> Non
 def test_a_session_of_a_newer_version_is_refused_in_one_line(
     tmp_path: Path, about: str, fault: str
 ) -> None:
-    record(tmp_path, "can")
+    record(tmp_path, "can", scans=2)
     (tmp_path / session.ABOUT).write_text(about, encoding="ascii")
     configuration(tmp_path, source=SOURCES["can"])
     assert refused("replay", tmp_path).startswith(f"{tmp_path}/{session.ABOUT}: {fault}")
@@ -260,6 +363,7 @@ def test_where_no_pose_was_recorded_the_sensor_stands_still(tmp_path: Path) -> N
     with Recorder(tmp_path, moves=False) as recorder:
         for item in sent("can"):
             recorder.take(item)
+    assert not (tmp_path / session.POSES).exists()
     pipeline = open_pipeline(tmp_path, config_of("can"))
     assert all(o.sensor is None or not o.sensor.any() for o in outcomes(tmp_path, pipeline))
     assert pipeline.estimate.contacts == 1

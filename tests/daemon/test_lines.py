@@ -1,0 +1,523 @@
+"""Serial lines on pseudo-terminals: a hub's own link, and SLCAN adapters of several kinds."""
+
+import contextlib
+import errno
+import fcntl
+import itertools
+import logging
+import math
+import os
+import select
+import termios
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.source.bus_faults import BusFault
+from taxeld.source.lines import SerialLine
+from taxeld.source.recorder import Recorder
+from taxeld.source.sources import LiveSource, open_device, open_source
+from taxeld_hil.rig.adapters import KINDS, Adapter
+from taxeld_hil.rig.ports import SlcanPort
+from taxeld_protocol.cyskin import Command, Packet
+from taxeld_protocol.decoder import Decoder, Scan
+from taxeld_protocol.serial_link import SerialReader
+from taxeld_protocol.slcan import BITRATES, split
+from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
+from tests.rig.clocks import until
+from tests.rig.sessions import items_of
+from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
+from tests.rig.virtual_hub import VirtualHub
+
+TICK_S = 0.01
+NATIVE = "native"
+
+adapters = pytest.mark.parametrize("kind", KINDS)
+transports = pytest.mark.parametrize("kind", ["plain", NATIVE])
+
+
+class ServedSkin:
+    """A source, and a hub behind a line, on a clock that stands while the test does not run."""
+
+    def __init__(
+        self, hub: VirtualHub, config: SourceConfig, recorder: Recorder | None = None
+    ) -> None:
+        source = open_source(config, SKIN, recorder)
+        assert isinstance(source, LiveSource)
+        self.hub, self.source, self.port = hub, source, hub.port
+        self.scans: list[Scan] = []
+        self.now_s = 0.0
+
+    @property
+    def adapter(self) -> Adapter:
+        assert isinstance(self.port, SlcanPort)
+        return self.port.adapter
+
+    def turn(self, *, polls: bool = True) -> None:
+        """Serve the hub, whose scan k reads k + 1 everywhere, and poll."""
+        self.now_s = round(self.now_s + TICK_S, 6)
+        if Path(self.hub.device).exists():
+            self.hub.serve(self.now_s, lambda k: [k + 1] * CHANNELS)
+        if polls:
+            self.scans += self.source.poll(self.now_s)
+
+    def until(self, true: Callable[[], bool]) -> float:
+        """Go on until something is so; → by the clock, how long it took."""
+        began_s = self.now_s
+        until(true, self.turn)
+        return self.now_s - began_s
+
+    def more(self, scans: int = 3) -> float:
+        """Until so many more have come. None is damaged."""
+        wanted = len(self.scans) + scans
+        took_s = self.until(lambda: len(self.scans) >= wanted)
+        assert all({*scan.counts} == {scan.counts[0]} for scan in self.scans)
+        return took_s
+
+    def close(self) -> None:
+        """Until all that was written has come to the hub."""
+        self.source.close()
+        until(lambda: not self.adapter.is_open, lambda: self.hub.answer(self.now_s))
+
+
+Opened = Callable[..., ServedSkin]
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Opened]:
+    """A skin behind a kind of adapter or a native link, and more keys of its source."""
+    with ExitStack() as stack:
+
+        def made(kind: str = "plain", at: str = "", **more: Any) -> ServedSkin:
+            recorder = more.pop("recorder", None)
+            native = kind == NATIVE
+            adapter = "plain" if native else kind
+            hub = VirtualHub(tmp_path / "skin", MODULES, native=native, adapter=adapter)
+            stack.enter_context(hub)
+            keys: dict[str, Any] = {**hub.source, "channel": hub.device + at, **more}
+            skin = ServedSkin(hub, SourceConfig(**keys), recorder)
+            stack.callback(skin.source.close)
+            return skin
+
+        yield made
+
+
+@adapters
+def test_the_skin_behind_each_kind_of_adapter_is_brought_up_and_left_stopped_and_closed(
+    opened: Opened, kind: str
+) -> None:
+    skin = opened(kind)
+    skin.more()
+    skin.close()
+    assert not skin.hub.ihb.auto_sync
+    assert not skin.adapter.is_open
+
+
+@adapters
+def test_listening_only_nothing_is_sent_to_the_bus_and_the_adapter_is_told_so(
+    opened: Opened, kind: str
+) -> None:
+    skin = opened(kind, listen_only=True, modules=LISTED)
+    skin.hub.ihb.phase, skin.hub.ihb.auto_sync = Phase.RUNNING, True  # something else started it
+    skin.more()
+    assert skin.adapter.is_silent
+    skin.close()
+    assert skin.hub.requests == []
+
+
+@adapters
+def test_a_channel_that_another_process_closed_is_opened_again_and_said_once(
+    opened: Opened, kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "taxeld")
+    skin = opened(kind)
+    skin.more()
+    caplog.clear()
+    assert isinstance(skin.port, SlcanPort)
+    if kind == "lawicel":  # as a shell's `stty sane` does: then it echoes, and gives whole lines
+        form = termios.tcgetattr(skin.port.slave)
+        form[0] |= termios.ICRNL
+        form[3] |= termios.ICANON | termios.ECHO
+        termios.tcsetattr(skin.port.slave, termios.TCSANOW, form)
+    skin.port.close_channel()
+    took_s = skin.until(lambda: bool(skin.source.waits_for))
+    named = f"source.channel: nothing has come from {skin.hub.device} for 1 s; "
+    assert skin.source.waits_for.startswith(named)
+    assert took_s + skin.more(1) <= 1.0 + 2.0
+    assert (skin.source.waits_for, skin.source.counters.lost) == ("", 0)
+    said = [(record.levelname, record.getMessage()) for record in caplog.records]
+    assert [level for level, _ in said] == ["WARNING", "INFO"]
+    assert said[1][1] == f"no longer: {said[0][1]}"
+
+
+class QuietHub(VirtualIhb):
+    """It says nothing while its modules start."""
+
+    wakes_s = -math.inf
+
+    def answer(self, packet: Packet) -> list[Answer]:
+        if packet.t < self.wakes_s:
+            return []
+        if packet.command == Command.MODULE_PROGRAM_END:
+            self.wakes_s = packet.t + 1.6
+        return super().answer(packet)
+
+
+@pytest.mark.parametrize(
+    "ihb",
+    [
+        lambda: VirtualIhb(MODULES, deaf_s=0.06),
+        lambda: VirtualIhb(MODULES, deaf_s=0.06, says_busy=True),
+        lambda: QuietHub(MODULES, modules_s=1.6),
+    ],
+    ids=["drops requests", "is busy", "is quiet"],
+)
+def test_a_hub_that_takes_its_time_is_started_and_its_channel_is_not_opened_again(
+    opened: Opened, ihb: Callable[[], VirtualIhb], caplog: pytest.LogCaptureFixture
+) -> None:
+    skin = opened()
+    skin.hub.ihb = ihb()
+    assert skin.more() < 6.0
+    assert "its channel is opened again" not in caplog.text
+    assert skin.source.counters.unsent == 0
+
+
+@pytest.mark.parametrize(
+    ("flags", "kind"),
+    [
+        (0x0B, "overflow"),
+        (0x04, "warning"),
+        (0x20, "passive"),
+        (0x40, "arbitration"),
+        (0x80, "error"),
+    ],
+)
+def test_a_silent_adapter_is_asked_for_its_flags_and_they_are_said(
+    opened: Opened, flags: int, kind: str
+) -> None:
+    skin = opened("lawicel", listen_only=True, modules=LISTED)
+    skin.adapter.flags = flags
+    skin.until(lambda: any(skin.source.bus.counts.values()))
+    assert {fault: n for fault, n in skin.source.bus.counts.items() if n} == {kind: 1}
+    assert (kind == "arbitration") != (BusFault(kind).line in skin.source.waits_for)
+
+
+def test_foreign_frames_are_counted_and_damaged_lines_cost_only_themselves(opened: Opened) -> None:
+    skin = opened("lawicel")
+    skin.more()
+    strange = b"r1010\rR17FFFFFF8\rr10181A2B\rd1011AA\rB000001019" + b"00" * 12 + b"\r"
+    noise = [b"t1ZZ8junk\r", b"\xff\xfe\r", b"t\r", b"T123\r", b"\x07", b"tttt\r"]
+
+    def foreign() -> int:
+        return skin.source.decoder.stats()["dropped"]["foreign"]  # type: ignore[index]
+
+    for data in (strange, *noise):
+        os.write(skin.port.fileno(), data)
+        skin.more(1)
+    skin.until(lambda: foreign() >= 5)
+    assert foreign() == 5
+    assert skin.source.counters.lost == 0
+
+
+APART_S = 0.03  # time between the answers to lines that came together
+
+
+class LateAdapter:
+    """Lawicel's, on a pseudo-terminal, which answers each line later by the test's clock."""
+
+    def __init__(self, late_s: float = 0.08, mute: bytes = b"") -> None:
+        """`mute`: a line that it does not answer."""
+        self._late_s, self._mute = late_s, mute
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.device = os.ttyname(self._slave)
+        self.adapter = Adapter("lawicel")
+        self._rest = b""
+        self._answers: list[tuple[float, bytes]] = []
+
+    def serve(self, now_s: float) -> None:
+        with suppress(BlockingIOError):
+            lines, self._rest = split(self._rest + os.read(self._master, 4096))
+            answers = [(line, self.adapter.host(line)[0]) for line in lines]
+            self._answers += [
+                (now_s + self._late_s + k * APART_S, a)
+                for k, (line, a) in enumerate(answers)
+                if line != self._mute
+            ]
+        while self._answers and self._answers[0][0] <= now_s:
+            os.write(self._master, self._answers.pop(0)[1])
+
+    def close(self) -> None:
+        os.close(self._master)
+        os.close(self._slave)
+
+
+@pytest.mark.parametrize(("refuses", "listen_only"), [(False, False), (False, True), (True, False)])
+@pytest.mark.parametrize("late_s", [0.0, 0.02, 0.08, 0.15])
+@pytest.mark.parametrize("mute", [b"", b"C"], ids=["answers C", "does not answer C"])
+def test_an_adapter_that_answers_late_is_opened_or_named_with_the_bit_rate_that_it_refuses(
+    refuses: bool,
+    listen_only: bool,
+    late_s: float,
+    mute: bytes,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No answer of its own is taken for a refusal."""
+    if refuses:
+        monkeypatch.setitem(BITRATES, 1_000_000, b"S9")  # Lawicel's knows no such
+    with closing(LateAdapter(late_s, mute)) as late:
+        config = SourceConfig(
+            kind="can",
+            interface="slcan",
+            channel=late.device,
+            listen_only=listen_only,
+            modules=LISTED,
+        )
+        with closing(open_source(config, SKIN)) as source:
+            tick = itertools.count()
+
+            def turn() -> None:
+                now_s = TICK_S * next(tick)
+                source.poll(now_s)
+                late.serve(now_s)
+                time.sleep(0.0005)
+
+            # the skin is silent, so that the channel is opened twice
+            until(lambda: source.waits_for and (refuses or late.adapter.on_bus), turn)
+            for _ in range(50):
+                turn()
+            assert refuses or late.adapter.is_silent == listen_only
+    said = [text for text in caplog.messages if "refused" in text]
+    if not refuses:
+        assert said == []
+    else:
+        named = f"source.channel: {late.device} refused S9 (it knows no such bit rate"
+        assert [text for text in said if text.startswith(named)] == said[:1], "once"
+        # without a bit rate its channel does not open, and takes nothing
+        assert all(text.split()[3][0] in "OtT" for text in said[1:]), said
+
+
+@pytest.mark.parametrize("bitrate", BITRATES)
+def test_the_bus_gets_the_configured_bit_rate(opened: Opened, bitrate: int) -> None:
+    skin = opened("lawicel", at="@921600", bitrate=bitrate, period_ms=300)
+    skin.until(lambda: b"O" in skin.adapter.heard)
+    assert [line for line in skin.adapter.heard if line[:1] == b"S"] == [BITRATES[bitrate]]
+
+
+@transports
+def test_a_skin_that_is_unplugged_comes_back(opened: Opened, kind: str) -> None:
+    skin = opened(kind)
+    skin.more()
+    skin.hub.unplug()
+    skin.until(lambda: skin.source.counters.lost == 1)
+    for _ in range(50):
+        skin.turn()
+    assert skin.source.waits_for
+    skin.hub.plug()
+    skin.more()
+    assert skin.source.counters.reopened == 1
+    assert skin.source.waits_for == ""
+    assert skin.hub.ihb.auto_sync
+
+
+@transports
+def test_what_waited_on_a_line_while_the_loop_was_stopped_is_dropped_and_counted(
+    opened: Opened, kind: str, tmp_path: Path
+) -> None:
+    """Nothing tells when it came, and the robot may have moved meanwhile."""
+    with Recorder(tmp_path / "session", moves=False) as recorder:
+        skin = opened(kind, recorder=recorder)
+        skin.more()
+        before = skin.hub.scans
+        for _ in range(100):
+            skin.turn(polls=False)
+        missed = skin.hub.scans - before
+        assert missed >= 15
+        skin.more()
+        now = skin.hub.scans
+        assert [s.counts[0] for s in skin.scans[3:]] == [now - 2, now - 1, now]
+        assert skin.source.counters.late == missed
+        skin.source.close()
+    decoded = Decoder().take(items_of(tmp_path / "session"))  # type: ignore[arg-type]
+    recorded = [scan.counts for _, ended in decoded for scan in ended]
+    assert recorded == [scan.counts for scan in skin.scans], "it is not recorded"
+
+
+class FarEnd:
+    """The other end of a pseudo-terminal, which reads when it is told to."""
+
+    def __init__(self) -> None:
+        self._fd, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._fd, False)
+        os.set_blocking(slave, False)
+        self.device, self._slave = os.ttyname(slave), slave
+
+    def fill(self) -> None:
+        """What the host wrote before takes all the room there is, also what the kernel makes."""
+        for _ in range(10):
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    os.write(self._slave, bytes(4096))
+            time.sleep(0.01)
+
+    def read(self) -> bytes:
+        data = b""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                data += os.read(self._fd, 65536)
+        return data
+
+    def close(self) -> None:
+        os.close(self._fd)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def far_end() -> Iterator[FarEnd]:
+    made = FarEnd()
+    yield made
+    made.close()
+
+
+def of_kind(kind: str, device: str) -> SourceConfig:
+    native = kind == NATIVE
+    return SourceConfig("serial" if native else "can", interface="slcan", channel=device)
+
+
+@transports
+def test_a_line_whose_far_end_stops_reading_makes_no_tick_wait(
+    far_end: FarEnd, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = open_source(of_kind(kind, far_end.device), SKIN)
+    far_end.fill()
+    real = select.select
+
+    def spy(r: Any, w: Any, x: Any, timeout: float | None = None) -> Any:
+        assert timeout == 0, f"waited for {timeout} s"
+        return real(r, w, x, timeout)
+
+    def drain(_: int) -> None:
+        raise AssertionError("waited for a line to be empty")
+
+    monkeypatch.setattr(select, "select", spy)
+    monkeypatch.setattr(termios, "tcdrain", drain)
+    for tick in range(2000):
+        source.poll(tick * TICK_S)
+    assert 30 <= source.counters.unsent <= 3 * 2000 * TICK_S / 0.5
+    assert source.counters.lost == 0
+    source.close()
+
+
+def test_requests_go_out_again_and_whole_once_the_far_end_reads(far_end: FarEnd) -> None:
+    source = open_source(of_kind(NATIVE, far_end.device), SKIN)
+    source.poll(0.0)
+    far_end.read()
+    far_end.fill()
+    for tick in range(100, 1000):
+        source.poll(tick * TICK_S)
+    reader = SerialReader()
+    reader.feed(far_end.read() + b"\0", 0.0)
+    damaged = reader.counters.crc_errors + reader.counters.length_errors
+    packets = []
+    for tick in range(1000, 1200):
+        source.poll(tick * TICK_S)
+        packets += reader.feed(far_end.read(), 0.0)
+    assert packets[0].command == Command.DISCOVERY_PING
+    assert reader.counters.crc_errors + reader.counters.length_errors == damaged
+    source.close()
+
+
+def test_a_request_that_has_begun_is_finished_before_the_next(
+    far_end: FarEnd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room, taken = 3, b""
+
+    def write(_: SerialLine, data: bytes) -> int:
+        nonlocal room, taken
+        part = data[:room]
+        room, taken = room - len(part), taken + part
+        return len(part)
+
+    monkeypatch.setattr(SerialLine, "_write", write)
+    device = open_device(of_kind(NATIVE, far_end.device))
+    device.send(1, Command.DECLARE, b"")
+    with pytest.raises(BlockingIOError):
+        device.send(2, Command.DECLARE, b"")
+    room = 100
+    device.send(3, Command.DECLARE, b"")
+    assert [packet.ihb for packet in SerialReader().feed(taken, 0.0)] == [1, 3]
+    device.close()
+
+
+def refuse(*_: object, **__: object) -> int:
+    raise PermissionError(errno.EACCES, "Permission denied")
+
+
+def go_away(*_: object) -> None:
+    raise termios.error(errno.EIO, "Input/output error")  # a driver's complaint is no OSError
+
+
+def test_what_only_a_person_can_mend_is_not_waited_for_and_the_rest_is(
+    tmp_path: Path, far_end: FarEnd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+
+    def waits(kind: str, channel: str) -> str:
+        with closing(open_source(of_kind(kind, channel), SKIN, wait=True)) as source:
+            return source.waits_for
+
+    speed = "must end with @ and a line speed, as /dev/null@115200"
+    for kind, channel, line in (
+        (NATIVE, str(tmp_path / "file"), "it is no serial line"),
+        (NATIVE, str(tmp_path), "it is a directory"),
+        *(("plain", f"/dev/null@{s}", speed) for s in ("fast", "", "300", "9" * 400, "96 00")),
+    ):
+        with pytest.raises(SetupError, match=line):
+            waits(kind, channel)
+    assert "it is not there; is it plugged in?" in waits(NATIVE, str(tmp_path / "none"))
+    other = os.open(far_end.device, os.O_RDWR | os.O_NOCTTY)
+    fcntl.flock(other, fcntl.LOCK_EX)
+    for kind in ("plain", NATIVE):
+        assert "another process has it open" in waits(kind, far_end.device)
+    os.close(other)
+    assert waits(NATIVE, far_end.device) == ""
+    monkeypatch.setattr("serial.serialposix.termios.tcsetattr", go_away)
+    assert "Input/output error" in waits(NATIVE, far_end.device)
+    monkeypatch.setattr("serial.serialposix.os.open", refuse)
+    with pytest.raises(SetupError, match="permission denied; is this user in the group"):
+        waits(NATIVE, far_end.device)
+
+
+def test_a_device_that_is_not_there_yet_is_waited_for_with_one_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "taxeld")
+    source = open_source(of_kind(NATIVE, str(tmp_path / "skin")), SKIN, wait=True)
+    for tick in range(500):
+        assert source.poll(tick * TICK_S) == []
+    assert source.counters.unopened >= 4
+    (record,) = caplog.records
+    assert record.getMessage() == f"{source.waits_for}; waiting for it"
+    with VirtualHub(tmp_path / "skin", MODULES, native=True) as hub:
+        now_s = 5.0
+
+        def turn() -> None:
+            nonlocal now_s
+            now_s += TICK_S
+            hub.serve(now_s, lambda _: [7] * CHANNELS)
+            source.poll(now_s)
+
+        until(lambda: source.decoder.counters.scans >= 2, turn)
+        assert source.waits_for == ""
+        assert sum("is open" in message for message in caplog.messages) == 1
+        source.close()
