@@ -86,12 +86,6 @@ def test_an_estimate_without_a_touch_or_with_less_probability_than_one_leaves_is
     assert used().why(replace(estimate, **changes)) is why
 
 
-def test_while_modules_are_missing_no_estimate_is_valid(estimate: Estimate) -> None:
-    inputs = used()
-    inputs.links[0].is_whole = False
-    assert inputs.why(estimate) is Why.MODULES_MISSING
-
-
 @pytest.mark.parametrize(
     ("x", "y", "inside"),
     [

@@ -21,10 +21,9 @@ from taxeld.proposals.analytic import Projection
 from taxeld.service import log
 from taxeld.service.notices import Notices
 from taxeld.stream import client
-from taxeld_protocol.modules import wired
+from taxeld_protocol.decoder import Scan
 from tests.rig.clocks import until
 from tests.rig.configurations import config, configuration
-from tests.rig.logged import messages
 from tests.rig.processes import PIPES, taxeld
 from tests.rig.recorded import LiveSkin
 from tests.rig.simulated_skin import SimulatedSkin
@@ -40,13 +39,6 @@ def test_the_journal_is_told_the_priority_of_each_line(tmp_path: Path) -> None:
         assert log.formatter(stream.fileno(), environ).format(RECORD) == "<4>a line\n<4>and another"
         elsewhere = {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino + 1}"}
         assert "<4>" not in log.formatter(stream.fileno(), elsewhere).format(RECORD)
-
-
-def test_a_librarys_warnings_are_lines_of_the_log(capfd: pytest.CaptureFixture[str]) -> None:
-    with log.written():
-        logging.getLogger("serial").warning("the line is noisy")
-        logging.getLogger("serial").info("the line is quiet")
-    assert messages(capfd.readouterr().err) == ["the line is noisy"]
 
 
 @pytest.fixture
@@ -106,67 +98,58 @@ def test_a_status_that_flaps_is_logged_ever_less_often_and_the_last_one_is_logge
     assert len(logged()) == 1, "at once, once it was calm"
 
 
-def told_of(told: Notices, fault: str = "") -> None:
-    """Eight looks, a second each."""
-    for _ in range(8):
-        told.inputs(fault, 0.0)
-
-
-def test_what_is_wrong_with_poses_is_logged_once_and_so_is_its_end(
-    logged: Callable[[], list[str]],
-) -> None:
-    pipeline, _ = hub_of(8)
-    told = notices(pipeline)
-    told_of(told, "no pose comes")
-    assert "WARNING: sensor_pose: no pose comes" in logged()
-    told_of(told)
-    assert logged() == ["INFO: sensor_pose: poses come as they should"]
-
-
 def hub_of(modules: int) -> tuple[Pipeline, SimulatedSkin]:
     """A pipeline for the layout of eight modules, and a skin whose hub has so many of them."""
     whole = layouts.load(SPEC)
     loaded = bundle.load("box", whole, 0.005)
     skin = SimulatedSkin(whole, noise=5.0)
     pipeline = Pipeline(config(), [whole], [loaded.model], choice.samples([loaded], FilterConfig()))
-    table = wired(whole.uid.tolist())[:modules]
-    counts = sum(module.channels for module in table)
     for _ in range(30):
-        scan = skin.scan()
-        cut = replace(scan, table=tuple(table), counts=scan.counts[:counts])
-        list(pipeline.advance([cut], scan.t))
+        list(pipeline.advance([cut(skin.scan(), modules)], skin.t))
     return pipeline, skin
 
 
-def test_estimates_are_valid_only_where_the_hubs_have_the_modules_of_the_layout() -> None:
-    for modules, valid in ((8, True), (5, False)):
-        pipeline, _ = hub_of(modules)
-        touched = replace(pipeline.estimate, contacts=1, status=Status.AMBIGUOUS, p=0.5)
-        why = pipeline.freshness.why(touched)
-        assert why is (Why.VALID if valid else Why.MODULES_MISSING)
-        assert pipeline.freshness.links[0].is_whole is valid
-    assert pipeline.health()["missing_modules"] == [6, 7, 8]
+def cut(scan: Scan, modules: int) -> Scan:
+    """The scan of a hub that has the first so many modules alone."""
+    table = scan.table[:modules]
+    counts = scan.counts[: sum(module.channels for module in table)]
+    return replace(scan, table=table, counts=counts)
 
 
-def test_modules_that_are_missing_may_be_allowed_for() -> None:
-    pipeline, skin = hub_of(7)
-    assert not pipeline.freshness.links[0].is_whole
-    allowed = replace(pipeline.config.skin, missing_modules=1)
-    pipeline.stages[0].config = replace(pipeline.config, skin=allowed)
-    list(pipeline.advance([skin.scan()], skin.scan().t))
-    assert pipeline.freshness.links[0].is_whole
-
-
-def test_a_hub_that_lacks_modules_of_the_layout_is_logged(
+def test_what_is_wrong_with_poses_and_modules_is_logged_once_and_so_is_its_end(
     logged: Callable[[], list[str]],
 ) -> None:
-    pipeline, _ = hub_of(5)
-    logged()
-    told_of(notices(pipeline))
-    assert logged() == [
+    pipeline, skin = hub_of(5)
+    told = notices(pipeline)
+
+    def looked(fault: str) -> list[str]:
+        """Eight looks, a second each."""
+        logged()
+        for _ in range(8):
+            told.inputs(fault, 0.0)
+        return logged()
+
+    missing = "3 of its 8 modules are on no hub (SUI 6, 7, 8)"
+    assert looked("no pose comes") == [
+        "WARNING: sensor_pose: no pose comes",
         "INFO: hub 1 sends: 5 modules, 5 of them in the layout",
-        "WARNING: skin.layout: 3 of its 8 modules are on no hub (SUI 6, 7, 8); estimates are not "
-        "valid: give the layout of this skin, or see to its modules",
+        f"WARNING: skin.layout: {missing}; estimates are not valid: give the layout of this skin, "
+        "or see to its modules",
+    ]
+    assert pipeline.health()["missing_modules"] == [6, 7, 8]
+    touched = replace(pipeline.estimate, contacts=1, status=Status.AMBIGUOUS, p=0.5)
+    assert pipeline.freshness.why(touched) is Why.MODULES_MISSING
+    for stage in pipeline.stages:
+        allowed = replace(stage.config.skin, missing_modules=3)
+        stage.config = replace(stage.config, skin=allowed)
+    list(pipeline.advance([cut(skin.scan(), 5)], skin.t))
+    assert pipeline.freshness.why(touched) is Why.VALID
+    (line,) = [line for line in looked("") if "layout" in line]
+    assert line == f"WARNING: skin.layout: {missing}; is it the layout of this skin?"
+    list(pipeline.advance([replace(skin.scan(), table_version=99)], skin.t))
+    assert looked("") == [
+        "INFO: hub 1 sends: 8 modules, 8 of them in the layout",
+        "INFO: skin.layout: all its modules are there",
     ]
 
 

@@ -112,21 +112,6 @@ def test_a_daemon_is_ready_says_how_it_is_feeds_the_watchdog_and_says_when_it_st
 
 
 @pytest.mark.check
-def test_a_daemon_that_is_halted_falls_silent(manager: socket.socket, tmp_path: Path) -> None:
-    said = os.environ | environ(manager, WATCHDOG_USEC="200000")
-    with taxeld("run", configuration(tmp_path, source=QUIET), env=said) as process:
-        for _ in range(4):
-            manager.recv(4096)
-        process.send_signal(signal.SIGSTOP)
-        os.waitpid(process.pid, os.WUNTRACED)
-        heard(manager)
-        manager.settimeout(1.0)
-        with pytest.raises(TimeoutError):
-            manager.recv(4096)
-        process.kill()
-
-
-@pytest.mark.check
 def test_a_daemon_whose_device_is_away_is_ready_and_says_what_it_waits_for(
     manager: socket.socket, tmp_path: Path
 ) -> None:

@@ -165,15 +165,6 @@ def test_farther_from_the_last_pose_it_waits(box: Bundle, before_s: float, last_
     assert len(list(pipeline.advance([], scan.t + 0.002))) == 1
 
 
-def test_a_pose_that_jumped_is_not_gone_on_from(box: Bundle) -> None:
-    pipeline, skin = begun(box, ROBOT, EXTRAPOLATE_S)
-    scan = skin.scan()
-    pipeline.poses.add(scan.t - 0.012, 0.30, 0.0, 0.0)
-    pipeline.poses.add(scan.t - 0.002, 0.30 + 2.0 * se2.JUMP_M, 0.0, 0.0)
-    (outcome,) = pipeline.advance([scan], scan.t + 0.001)
-    assert outcome.sensor == pytest.approx([0.30 + 2.0 * se2.JUMP_M, 0.0, 0.0])
-
-
 def test_scans_keep_their_order_and_what_waits_is_bounded(box: Bundle) -> None:
     pipeline, skin = begun(box, ROBOT + "wait_s = 1\n")
     scans = [skin.scan() for _ in range(100)]
@@ -185,12 +176,6 @@ def test_scans_keep_their_order_and_what_waits_is_bounded(box: Bundle) -> None:
     times = [o.estimate.t for o in found if o.activation is not None]
     assert times == sorted(times)
     assert pipeline.inputs.scans_old == 89
-
-
-def test_without_a_robot_nothing_waits(box: Bundle) -> None:
-    pipeline, skin = begun(box, "")
-    scan = skin.scan()
-    assert len(list(pipeline.advance([scan], scan.t))) == 1
 
 
 Event = tuple[float, Scan | tuple[float, float, float, float]]  # arrival, and a scan or a pose
@@ -296,20 +281,6 @@ def _later(event: Scan | tuple[float, float, float, float], by: float):  # type:
     if isinstance(event, Scan):
         return Scan(event.t + by, event.ihb, event.counts, event.table, event.table_version)
     return event[0] + by, *event[1:]
-
-
-def test_scans_that_were_under_way_when_the_clock_was_set_are_not_believed(box: Bundle) -> None:
-    pipeline, skin = begun(box, "")
-    for by, counter in ((HOUR_S, "scans_old"), (-HOUR_S, "scans_from_the_future")):
-        scan = skin.scan()
-        pipeline.clock_stepped(by)
-        skin.t += by
-        (refused,) = pipeline.advance([scan], scan.t + by)
-        assert refused.estimate.status is Status.STALE
-        assert getattr(pipeline.inputs, counter) == 1
-        scan = skin.scan()
-        (taken,) = pipeline.advance([scan], scan.t)
-        assert taken.estimate.status is Status.SEARCHING
 
 
 strange = st.sampled_from([0.0, 0.0, 0.0, 0.03, -0.03, 0.6, -0.6, 1e4, -1e4, np.nan, np.inf])

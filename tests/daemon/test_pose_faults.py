@@ -79,29 +79,27 @@ def test_without_poses_the_connection_tells_the_mistake(line: dict[str, Any], fa
     assert watch.fault == ""
 
 
+@pytest.mark.parametrize("is_far", [True, False])
+def test_messages_that_are_no_poses_or_in_millimetres_are_a_fault_while_they_come(
+    is_far: bool,
+) -> None:
+    watch, faults = watched(right), list[str]()
+    for k, n in enumerate((3, 6, 9, 9)):
+        watch.add(NOW, NOW, is_far=is_far and k < 3)
+        malformed = 0 if is_far else n
+        faults.append(heard(watch, NOW + 9.0 + k, malformed=malformed, reason="t is no number"))
+    said = "messages come and are no poses: t is no number"
+    if is_far:
+        said = "x or y is beyond 10 m: send metres, not millimetres"
+    assert faults == ["", "", said, ""]
+
+
 def heard(watch: PoseWatch, now: float, **line: Any) -> str:
     """The fault after another second of right poses."""
     for k in range(100):
         watch.add(right(now - 0.01 * k), now - 0.01 * k)
     look(watch, now, **line)
     return watch.fault
-
-
-def test_messages_that_are_no_poses_are_a_fault_while_they_come() -> None:
-    watch = watched(right)
-    line = {"reason": "t is no number"}
-    faults = [heard(watch, NOW + 9.0 + k, malformed=n, **line) for k, n in enumerate((3, 6, 9, 9))]
-    said = "messages come and are no poses: t is no number"
-    assert faults == ["", "", said, ""]
-
-
-def test_poses_in_millimetres_are_told_from_poses_in_metres() -> None:
-    watch = watched(right)
-    for k in range(3):
-        watch.add(right(NOW + 9.0 + k), NOW + 9.0 + k, is_far=True)
-        look(watch, NOW + 9.0 + k)
-    assert watch.fault == "x or y is beyond 10 m: send metres, not millimetres"
-    assert heard(watch, NOW + 12.0) == ""
 
 
 def test_a_machine_that_is_late_now_and_then_is_no_fault_of_the_robots_clock() -> None:

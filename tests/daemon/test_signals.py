@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from taxeld.service.signals import Signals
 from tests.rig.clocks import until
 from tests.rig.configurations import QUIET, configuration
 from tests.rig.logged import warnings
@@ -96,7 +95,10 @@ def test_no_signal_of_an_operator_ends_a_daemon_but_those_that_should(
 ) -> None:
     for number in (signal.SIGSTOP,) * at_once + SURVIVED + (signal.SIGCONT,):
         daemon.send(number)
-    daemon.wait_for("health: ")
+    estimate, health = daemon.wait_for("estimate: "), daemon.wait_for("health: ")
+    assert any("service/loop.py" in line or "service/clock.py" in line for line in daemon.log())
+    assert json.loads(health.removeprefix("health: "))["uptime_s"] > 0.0
+    assert "map" in json.loads(estimate.removeprefix("estimate: "))
     assert daemon.ends_by(signal.SIGTERM) == 0
 
 
@@ -105,14 +107,6 @@ def test_no_signal_of_an_operator_ends_a_daemon_but_those_that_should(
 def test_who_ends_a_daemon_ends_it_in_order(daemon: Running, number: int) -> None:
     assert daemon.ends_by(number) == 0
     assert all(line.startswith("status: stale") for line in daemon.log())
-
-
-def test_usr1_says_where_the_daemon_is_and_what_it_knows(daemon: Running) -> None:
-    daemon.send(signal.SIGUSR1)
-    estimate, health = daemon.wait_for("estimate: "), daemon.wait_for("health: ")
-    assert any("service/loop.py" in line or "service/clock.py" in line for line in daemon.log())
-    assert json.loads(health.removeprefix("health: "))["uptime_s"] > 0.0
-    assert "map" in json.loads(estimate.removeprefix("estimate: "))
 
 
 def test_usr1_ends_no_daemon_however_often_it_comes(daemon: Running) -> None:
@@ -188,17 +182,3 @@ def test_hup_takes_the_log_level_of_a_configuration_without_faults(
     line = daemon.wait_for("log.level")
     assert line.removeprefix(f"{daemon.config.parent}/").startswith(begin)
     assert line.endswith(end)
-
-
-def test_handlers_are_as_before_once_the_daemon_has_ended() -> None:
-    numbers = (signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM, signal.SIGABRT)
-    before = {number: signal.getsignal(number) for number in numbers}
-    with Signals() as signals:
-        signals.stop_by(lambda: None)
-        signal.raise_signal(signal.SIGUSR2)
-        signal.raise_signal(signal.SIGHUP)
-        signal.raise_signal(signal.SIGHUP)
-        acted: list[str] = []
-        signals.serve({signal.SIGHUP: lambda: acted.append("hang up")})
-    assert acted == ["hang up"]
-    assert {number: signal.getsignal(number) for number in before} == before
