@@ -54,10 +54,6 @@ class Replay:
         self.config = self.pipeline.config
         self.names = bundle.names(config.scene)  # of objects, by their numbers in estimates
         self.layout = self.pipeline.skin.layout
-        self.patches = [
-            Patches(stage.skin.layout, stage.config.skin.full_scale_depth_m)
-            for stage in self.pipeline.stages
-        ]
         self._outcomes = outcomes(self.directory, self.pipeline)
 
     def __iter__(self) -> Iterator[Outcome]:
@@ -72,15 +68,6 @@ class Replay:
     def model(self) -> ObservationModel:
         """Of the first object."""
         return self.pipeline.estimator.model
-
-    def contacts(self, outcome: Outcome, seq: int) -> dict[str, Any]:
-        """The map of `/taxeld/contacts` of the last scan, which was felt."""
-        felt, link = outcome.activation, outcome.link
-        patches, t = self.patches[link], outcome.estimate.t
-        if felt is not None:
-            patches.on_scan(felt.z)
-            t = felt.t
-        return messages.contacts(t, patches, outcome.sensor, seq, link)
 
     @property
     def belief(self) -> tuple[Poses, Floats]:
@@ -105,18 +92,18 @@ def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator
         SetupError: the session, or a file named by the configuration, cannot be used.
     """
     recorded = Replay(directory, config, seed)
+    stages, links = recorded.pipeline.stages, recorded.pipeline.freshness.of_links
+    skins = [Patches(one.skin.layout, one.config.skin.full_scale_depth_m) for one in stages]
     for seq, outcome in enumerate(recorded):
-        if not recorded.names:
-            yield json.dumps(recorded.contacts(outcome, seq), separators=(",", ":"))
-            continue
-        why = recorded.why(outcome.estimate)
-        message = messages.estimate(
-            outcome.estimate,
-            names=recorded.names,
-            seq=seq,
-            why=why,
-            links=recorded.pipeline.freshness.of_links(),
-        )
+        e, felt, link = outcome.estimate, outcome.activation, outcome.link
+        if recorded.names:
+            why, names = recorded.why(e), recorded.names
+            message = messages.estimate(e, names=names, seq=seq, why=why, links=links())
+        else:
+            if felt is not None:
+                skins[link].on_scan(felt.z)
+            t = e.t if felt is None else felt.t
+            message = messages.contacts(t, skins[link], outcome.sensor, seq, link)
         yield json.dumps(message, separators=(",", ":"))
 
 
