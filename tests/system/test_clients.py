@@ -40,24 +40,18 @@ def said_of(x_m: float) -> str:
     return f"x {x_m:.3f} m  y -0.021 m  yaw 0.52  p 0.996  003_cracker_box"
 
 
-def python(place: Path) -> list[str] | None:  # noqa: ARG001
+def python(_: Path) -> list[str] | None:
     return [sys.executable, "-u", str(CLIENTS / "subscribe.py")]
 
 
 def cpp(place: Path) -> list[str] | None:
-    compiler = shutil.which("g++")
-    if compiler is None or not all(_has_header(compiler, name) for name in CPP_HEADERS):
+    compiler, built = shutil.which("g++"), str(place / "subscribe")
+    if compiler is None or not all(Path("/usr/include", name).exists() for name in CPP_HEADERS):
         return None
-    source, built = CLIENTS / "subscribe.cpp", place / "subscribe"
     how = ("-std=c++17", "-Wall", "-Wextra", "-Werror")
-    subprocess.run([compiler, *how, source, "-o", built, "-lzmq"], check=True)
-    return [str(built)]
-
-
-def _has_header(compiler: str, name: str) -> bool:
-    asked = f"#if !__has_include(<{name}>)\n#error\n#endif\n".encode()
-    command = [compiler, "-E", "-x", "c++", "-"]
-    return subprocess.run(command, input=asked, capture_output=True, check=False).returncode == 0
+    command = [compiler, *how, CLIENTS / "subscribe.cpp", "-o", built, "-lzmq"]
+    subprocess.run(command, check=True)
+    return [built]
 
 
 def node(place: Path) -> list[str] | None:
@@ -70,11 +64,7 @@ def node(place: Path) -> list[str] | None:
 
 
 MAKERS = {"python": python, "cpp": cpp, "node": node}  # None without the language's tools
-NEEDS = {
-    "python": "python",
-    "cpp": "g++, cppzmq-dev and libmsgpack-cxx-dev",
-    "node": f"node, and in {NODE_MODULES} the packages of examples/clients",
-}
+NEEDS = f"g++, cppzmq-dev and libmsgpack-cxx-dev, or node and in {NODE_MODULES} its packages"
 
 
 def started(place: Path, name: str, command: list[str]) -> "subprocess.Popen[bytes]":
@@ -123,26 +113,15 @@ def test_each_client_prints_the_pose_after_a_touch_if_it_is_valid_and_converged(
     name: str, printed: dict[str, list[str]]
 ) -> None:
     if name not in printed:
-        pytest.skip(f"{NEEDS[name]}: not here")
+        pytest.skip(f"{NEEDS}: not here")
     assert printed[name] == [said_of(0.1), said_of(0.6)]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "line"),
-    [
-        (["--help"], 0, "usage: subscribe.py"),
-        (["--endpoint"], 2, "usage: subscribe.py"),
-        (["nonsense"], 1, "nonsense: "),
-    ],
-)
-def test_a_wrong_argument_of_the_python_client_is_told_without_a_traceback(
-    arguments: list[str], status: int, line: str
-) -> None:
-    command = [sys.executable, CLIENTS / "subscribe.py", *arguments]
+def test_a_wrong_argument_of_the_python_client_is_told_without_a_traceback() -> None:
+    command = [sys.executable, CLIENTS / "subscribe.py", "nonsense"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.returncode == status
-    assert (ended.stdout + ended.stderr).startswith(line)
-    assert "Traceback" not in ended.stderr
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert ended.stderr.startswith("nonsense: ")
 
 
 @pytest.mark.parametrize("name", ["python", "node"])
@@ -151,7 +130,7 @@ def test_a_client_that_starts_first_hears_a_daemon_that_comes_later(
 ) -> None:
     command = {"python": python, "node": node}[name](tmp_path)
     if command is None:
-        pytest.skip(f"{NEEDS[name]}: not here")
+        pytest.skip(f"{NEEDS}: not here")
     environ = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
     own = f"ipc://{tmp_path}/taxeld/stream"
     with (

@@ -41,22 +41,6 @@ def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path
     ]
 
 
-@pytest.mark.check
-def test_an_advised_robot_goes_where_the_daemon_says(tmp_path: Path) -> None:
-    (tmp_path / "short.toml").write_text(SCENARIO, encoding="utf-8")
-    command = ["-m", "taxeld_hil.cli", "run", str(tmp_path / "short.toml"), "--advised"]
-    done = subprocess.run(
-        [sys.executable, *command, "--out", str(tmp_path / "s")],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
-    assert done.stderr == ""
-    (line,) = [line for line in done.stdout.splitlines() if line.startswith("advised: ")]
-    assert line.startswith("advised: 2 approaches, ")
-
-
 def test_a_replay_gives_the_same_bytes_twice(ran: tuple[Path, str]) -> None:
     first = replayed(ran[0])
     assert first == replayed(ran[0])
