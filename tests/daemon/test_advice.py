@@ -71,17 +71,28 @@ def gap_m(model: ObservationModel, sensor: Poses, poses: Poses) -> Floats:
     return contacts.clearance(model.scene, model.layout.radius_m, seen)
 
 
+BODY_M, HANDLE_M = 0.04, 0.075  # radius of the body; how far the handle reaches from its middle
+
+
+def handled(skin: Layout, *further: Layout) -> ObservationModel:
+    """A body and a handle beside it, which is no part of its outline, as a mug's is not."""
+    body, handle = disc(BODY_M), box(0.01, 0.012)
+    angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    ring = BODY_M * np.column_stack([np.cos(angle), np.sin(angle)])
+
+    def of(layout: Layout) -> ObservationModel:
+        scene = scene_of(
+            lambda x, y: np.minimum(body(x, y), handle(x - HANDLE_M + 0.01, y)), layout, symmetry=1
+        )
+        return ObservationModel(replace(scene, outline=ring), layout, DEPTH_MAX_M)
+
+    first, *links = map(of, (skin, *further))
+    return ObservationModel(first.scene, skin, DEPTH_MAX_M, links)
+
+
 @pytest.fixture(scope="module")
 def handled_model(skin: Layout) -> ObservationModel:
-    """A round body of 40 mm radius with a handle that reaches 75 mm from its middle."""
-    body, handle = disc(0.04), box(0.02, 0.006)
-    scene = scene_of(lambda x, y: np.minimum(body(x, y), handle(x - 0.055, y)), skin, symmetry=1)
-    angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
-    ring = 0.04 * np.column_stack([np.cos(angle), np.sin(angle)])
-    ring[0] = (0.075, 0.0)
-    height = scene.heights[0]
-    surface = np.column_stack([ring, np.full(64, height)])
-    return ObservationModel(replace(scene, outline=ring, surface=surface), skin, DEPTH_MAX_M)
+    return handled(skin)
 
 
 @settings(max_examples=25, deadline=None)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from taxeld.advice import hypotheses, lines
-from taxeld.advice.advice import Advice, Advisor, Approach
+from taxeld.advice.advice import Advisor, Approach
 from taxeld.advice.hypotheses import Guesses
 from taxeld.advice.lines import Lines, Reach
 from taxeld.advice.outcomes import MISS_M, Outcomes
@@ -20,11 +20,9 @@ from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from tests.rig.pressed_box import TRUTH, World
-from tests.rig.scenes import DEPTH_MAX_M, box, disc, scene_of
 
-from .test_advice import follow
+from .test_advice import BODY_M, HANDLE_M, asked, follow, handled
 
-BODY_M, HANDLE_M = 0.04, 0.075  # radius of the body; how far the handle reaches from its middle
 TURNED = se2.compose(TRUTH, np.array([0.0, 0.0, np.pi]))  # the handle is on the other side
 OTHERS = 8  # approaches that were not advised
 
@@ -36,23 +34,6 @@ class NoSamples:
 
     def propose(self, z: np.ndarray, live: np.ndarray, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
         return np.empty((0, 3))
-
-
-def handled(skin: Layout, *further: Layout) -> ObservationModel:
-    """A body and a handle beside it, which is no part of its outline, as a mug's is not."""
-    body, handle = disc(BODY_M), box(0.01, 0.012)
-    angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
-    ring = BODY_M * np.column_stack([np.cos(angle), np.sin(angle)])
-
-    def of(layout: Layout) -> ObservationModel:
-        scene = scene_of(
-            lambda x, y: np.minimum(body(x, y), handle(x - HANDLE_M + 0.01, y)), layout, symmetry=1
-        )
-        return ObservationModel(replace(scene, outline=ring), layout, DEPTH_MAX_M)
-
-    links = [of(each) for each in further]
-    first = of(skin)
-    return ObservationModel(first.scene, skin, DEPTH_MAX_M, links)
 
 
 def torn(model: ObservationModel) -> Estimator:
@@ -79,10 +60,6 @@ def both(monkeypatch: pytest.MonkeyPatch) -> Guesses:
 
     monkeypatch.setattr(hypotheses, "drawn", drawn)
     return made
-
-
-def asked(subject: Estimator, reach: Reach) -> Advice:
-    return Advisor(subject, reach).advise()
 
 
 def all_of(subject: Estimator, found: Guesses) -> Iterator[tuple[Lines, float, Approach]]:
