@@ -56,15 +56,9 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
                         topic, body, _ = socket.recv_multipart()
                         received.setdefault(topic.decode(), []).append(msgpack.unpackb(body))
                     if "status" not in received and received[messages.CONTACTS.decode()]:
-                        for name in ("status", "info"):
+                        for name in ("status", "info", "reset"):
                             answer = client.ask(f"ipc://{place}/control", name, timeout_s=20.0)
                             received[name] = [answer]
-                        with zmq.Context() as more, more.socket(zmq.REQ) as asking:
-                            asking.setsockopt(zmq.LINGER, 0)
-                            asking.connect(f"ipc://{place}/control")
-                            asking.send(msgpack.packb({"cmd": "reset"}))
-                            assert asking.poll(20_000)
-                            received["reset"] = [msgpack.unpackb(asking.recv())]
                 daemon.terminate()
                 out, _ = daemon.communicate()
             finally:
@@ -91,20 +85,14 @@ def test_a_patch_is_told_while_it_is_pressed_and_its_end_once(ran: dict[str, lis
     assert leaves(ran["/taxeld/contacts"][0]) == documented("/taxeld/contacts")[0]
 
 
-def test_status_says_that_there_is_no_object(ran: dict[str, list[Any]]) -> None:
-    (answer,) = ran["status"]
-    lines = list(status.lines(answer))
+def test_it_answers_that_there_is_no_object_and_loads_no_sampler(
+    ran: dict[str, list[Any]],
+) -> None:
+    lines = list(status.lines(ran["status"][0]))
     assert "no object is configured" in lines[1]
     assert not any(line.startswith(("Pose ", "Modes", "Contacts")) for line in lines)
-
-
-def test_reset_answers_that_there_is_nothing_to_forget(ran: dict[str, list[Any]]) -> None:
-    (answer,) = ran["reset"]
-    assert not answer["ok"]
-    assert answer["error"].endswith("nothing to forget")
-
-
-def test_no_sampler_is_loaded(ran: dict[str, list[Any]]) -> None:
+    assert not ran["reset"][0]["ok"]
+    assert ran["reset"][0]["error"].endswith("nothing to forget")
     assert "taxeld.service.loop" in ran["modules"]
     assert "onnxruntime" not in ran["modules"]
 

@@ -34,22 +34,14 @@ def test_an_untouched_skin_is_captured_in_one_window(noise: float) -> None:
     assert windows.count(1.0) >= 19
 
 
-def test_a_touch_that_comes_and_goes_begins_the_capture_again(skin: Layout) -> None:
-    simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
-    for counts, seconds in ((0.0, 0.4), (4_000.0, 0.8)):
-        simulated.press[HELD] = counts
-        list(simulated.lead(subject, seconds))
-    assert not subject.is_ready
-    simulated.press[:] = 0.0
-    list(simulated.lead(subject, 2.0))
-    assert error(subject, simulated) < 50.0
-
-
-def test_taxels_held_since_the_capture_began_are_left_out_until_released(skin: Layout) -> None:
+@pytest.mark.parametrize("held_s", [0.8, 10.0])
+def test_taxels_touched_since_the_capture_began_are_left_out_until_released(
+    skin: Layout, held_s: float
+) -> None:
     simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
     list(simulated.lead(subject, 0.4))
     simulated.press[HELD] = 4_000.0
-    activation = simulated.run(subject, 10.0)
+    activation = simulated.run(subject, held_s)
     assert subject.faults()["untared_taxels"] == np.flatnonzero(~activation.live).tolist() == HELD
     assert not activation.z.any()
     simulated.press[:] = 0.0

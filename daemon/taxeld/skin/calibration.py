@@ -3,11 +3,8 @@
 import hashlib
 from dataclasses import dataclass
 
-import numpy as np
-
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.layout.layout import Layout
-from taxeld.model.response import Inverse
 
 DAY_S = 86_400.0
 
@@ -51,19 +48,6 @@ class SkinState:
     full_scale: float  # counts at full depth of a gain of 1, to which the responses belong
     calibrated_t: float  # time of the calibration from which they were learned; 0 without one
     response: Floats  # (6, M) as `SkinFit.values`
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """Counts over baseline → activations."""
-
-    own: Floats | float  # counts of each taxel (M,), or of all, at full depth
-    inverse: Inverse | None = None  # None: activations are in proportion to counts
-
-    def activation(self, over: Floats) -> Floats:
-        """Activations (M,) in 0..1 of counts (M,) over baseline."""
-        reading = np.minimum(np.maximum(over / self.own, 0.0), 1.0)
-        return reading if self.inverse is None else self.inverse(reading)
 
 
 def skin_digest(layout: Layout) -> str:

@@ -7,7 +7,6 @@ from taxeld.skin.calibration import Calibration
 from taxeld.skin.drift import Slice
 
 WINDOW = 20  # quiet readings that make a baseline
-PATIENCE = 5  # restarts of the capture before touched taxels are left out
 MOVED_SIGMAS = 10.0  # a wider window is not noise: 20 normal readings span 3.7 ± 0.7
 SD_OF_STEP = 1.4826 / np.sqrt(2.0)  # median step between scans → sd of a reading
 NOISE_MAX = 0.05  # share of full scale: a noisier taxel is of no use
@@ -19,16 +18,13 @@ NOISE_TELLS = 1.0  # counts: where most taxels have less noise, a still taxel ma
 
 
 class Idle:
-    """The capture: windows of readings of each taxel, until each has been quiet for one window.
+    """The capture: windows of readings of each taxel, until it has been quiet for one window.
 
-    A taxel that changes in a window, or lies above its lowest level so far, was touched, and the
-    capture begins again. After `PATIENCE` such windows the quiet taxels get their baselines; the
-    others have none until they have had a quiet window of their own."""
+    A taxel that changes in a window, or lies above its lowest level so far, was touched."""
 
     def __init__(self, taxels: int, full_scale: float, floor: float) -> None:
         """`floor`: a window narrower than this [counts] is never a touch."""
         self.known: Bools = np.zeros(taxels, dtype=bool)
-        self._begun_again = 0
         self._noise_max, self._floor = NOISE_MAX * full_scale, floor
         self._low = np.full(taxels, np.inf)  # the lowest level so far [counts]
         self._n = np.zeros(taxels, dtype=np.intp)
@@ -44,25 +40,22 @@ class Idle:
         self._window[self._n[taxels], taxels] = counts
         self._n[taxels] += 1
         full = taxels[self._n[taxels] == WINDOW]
-        quiet = self._quiet(full) if len(full) else np.zeros(0, dtype=bool)
-        found = full[quiet]
-        self.known[found] = True
-        window = self._window[:, found].astype(np.float64)
-        return found, window.mean(axis=0), window.std(axis=0, ddof=1)
+        window = self._window[:, full].astype(np.float64)
+        mean, sd = window.mean(axis=0), window.std(axis=0, ddof=1)
+        if len(full):
+            self._n[full] = 0
+            quiet = self._quiet(full, window) & (sd <= self._noise_max)
+            full, mean, sd = full[quiet], mean[quiet], sd[quiet]
+            self.known[full] = True
+        return full, mean, sd
 
-    def _quiet(self, taxels: Index) -> Bools:
-        """(n,) whether taxels (n,) were quiet in their full windows, which end."""
-        self._n[taxels] = 0
-        window = self._window[:, taxels].astype(np.float64)
-        sd = SD_OF_STEP * np.median(np.abs(np.diff(window, axis=0)), axis=0)
-        allowed = np.maximum(MOVED_SIGMAS * np.maximum(sd, np.median(sd)), self._floor)
+    def _quiet(self, taxels: Index, window: Floats) -> Bools:
+        """(n,) whether taxels (n,) were untouched in their `window` (WINDOW, n) [counts]."""
+        noise = SD_OF_STEP * np.median(np.abs(np.diff(window, axis=0)), axis=0)
+        allowed = np.maximum(MOVED_SIGMAS * np.maximum(noise, np.median(noise)), self._floor)
         low = self._low[taxels] = np.minimum(self._low[taxels], np.quantile(window, 0.25, axis=0))
-        quiet = (np.ptp(window, axis=0) <= allowed) & (np.median(window, axis=0) - low <= allowed)
-        if not quiet.all() and self._begun_again < PATIENCE:
-            self._begun_again += 1
-            self._n[:] = 0
-            return np.zeros(len(taxels), dtype=bool)
-        return np.asarray(quiet & (window.std(axis=0, ddof=1) <= self._noise_max))
+        level = np.median(window, axis=0)
+        return np.asarray((np.ptp(window, axis=0) <= allowed) & (level - low <= allowed))
 
 
 class Rest:

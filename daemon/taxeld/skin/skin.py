@@ -16,7 +16,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.observation import Activation, Lesson
 from taxeld.model.response import Inverse
-from taxeld.skin.calibration import Calibration, Scale, SkinState, skin_digest
+from taxeld.skin.calibration import Calibration, SkinState, skin_digest
 from taxeld.skin.channels import Wiring
 from taxeld.skin.drift import Drift, Slice
 from taxeld.skin.fit import SkinFit
@@ -63,7 +63,8 @@ class Skin:
         self.fit = SkinFit(m, noise or Noise(), calibration)
         self.noise: Noise | None = None  # errors of each taxel about its curve, where known
         self._calibrated_t, self._full_scale = 0.0, config.full_scale_counts
-        self._scale = Scale(config.full_scale_counts)
+        self._own: Floats | float = config.full_scale_counts  # each taxel's counts at full depth
+        self._inverse: Inverse | None = None  # None: activations are in proportion to counts
         if calibration is not None:
             self._calibrated_t, self._full_scale = calibration.t, calibration.full_scale_counts
             self._use_fit()
@@ -132,7 +133,7 @@ class Skin:
 
     def _use_fit(self) -> None:
         gain, onset, _ = self.fit.fit.mean
-        self._scale = Scale(self._full_scale * gain, Inverse(self.fit.bend, onset))
+        self._own, self._inverse = self._full_scale * gain, Inverse(self.fit.bend, onset)
         self.noise = self.fit.noise
 
     def on_scan(self, scan: Scan) -> Activation | None:
@@ -206,9 +207,13 @@ class Skin:
         pressed, left = live & self._foam.pressed, self._foam.level
         self.touched = bool(pressed.any())
         self._drift.touched(self._t, pressed | (left > self.threshold))
-        scaled = self._scale.activation
-        z, floor = np.where(pressed, scaled(over), 0.0), scaled(self.threshold + left)
-        return Activation(self._t, z, live, floor, scaled(left), self.noise)
+        z, floor = np.where(pressed, self._scaled(over), 0.0), self._scaled(self.threshold + left)
+        return Activation(self._t, z, live, floor, self._scaled(left), self.noise)
+
+    def _scaled(self, over: Floats) -> Floats:
+        """Activations (M,) in 0..1 of counts (M,) over baseline."""
+        reading = np.minimum(np.maximum(over / self._own, 0.0), 1.0)
+        return reading if self._inverse is None else self._inverse(reading)
 
     def _settle(self) -> None:
         """Learn from a second of scans: frozen taxels, drift, noise and thresholds."""

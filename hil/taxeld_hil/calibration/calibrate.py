@@ -19,7 +19,7 @@ from taxeld.model import se2
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import Inverse
-from taxeld.skin.calibration import Calibration, Scale, skin_digest
+from taxeld.skin.calibration import Calibration, skin_digest
 from taxeld.source import session
 from taxeld_hil.calibration.fit import CalibrationFit, FitResult, Start
 from taxeld_hil.calibration.observer import Observed, Observer, uncalibrated
@@ -233,9 +233,9 @@ def _noise(model: ObservationModel, presses: Presses, noise: Floats, fit: FitRes
         left_out = np.arange(len(presses)) % FOLDS == fold
         other = CalibrationFit(model, presses.only(~left_out), noise, start).run().value
         own = np.exp(other.log_full + other.log_gain)
-        scale = Scale(own, Inverse(float(other.bend[0]), other.onset))
+        inverse = Inverse(float(other.bend[0]), other.onset)
         part = presses.only(left_out)
-        z = np.array([scale.activation(row) for row in part.counts])
+        z = np.array([inverse(row / own) for row in part.counts])
         readings.append(np.where(z < FLOOR, 0.0, z)[part.live])
         seen = _seen(part.sensor, value.mount, value.object)
         expected.append(model.activation(seen)[part.live])
