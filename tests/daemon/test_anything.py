@@ -39,23 +39,15 @@ def ahead(model: ObservationModel, scan: Observation) -> float:
     return float(known.explain(AT)[0, 0] - known.anything[0])
 
 
-def test_the_object_where_it_is_explains_its_contacts_better_than_anything(
+def test_the_object_explains_its_contacts_better_than_anything_but_no_disorder(
     box_model: ObservationModel,
 ) -> None:
-    gains = [ahead(box_model, scan) for scan in touches(box_model, 40)]
+    scans, rng = touches(box_model, 40), np.random.default_rng(1)
+    gains = [ahead(box_model, scan) for scan in scans]
     assert np.median(gains) > 4.0
     assert np.mean(np.array(gains) > 0.0) > 0.9
-
-
-def test_anything_explains_readings_in_disorder_better_than_the_object(
-    box_model: ObservationModel,
-) -> None:
-    rng = np.random.default_rng(1)
-    gains = [
-        ahead(box_model, replace(scan, z=rng.permutation(scan.z)))
-        for scan in touches(box_model, 40)
-    ]
-    assert np.median(gains) < -10.0
+    mixed = [replace(scan, z=rng.permutation(scan.z)) for scan in scans]
+    assert np.median([ahead(box_model, scan) for scan in mixed]) < -10.0
 
 
 def test_readings_are_no_likelier_in_all_than_they_can_be(box_model: ObservationModel) -> None:
@@ -77,17 +69,6 @@ def test_what_is_felt_all_round_the_skin_is_alike(box_model: ObservationModel) -
     for scan in touches(box_model, 10):
         turned = [anything.log_density(replace(scan, z=scan.z[turn])) for turn in layout.turns]
         assert np.ptp(turned) < 0.01
-
-
-def test_dead_taxels_say_nothing_of_anything(box_model: ObservationModel) -> None:
-    anything, (scan,) = Anything(box_model, NOISE), touches(box_model, 1)
-    live = (scan.z > 0.0) | (np.arange(len(scan.z)) % 2 == 0)
-    said = [
-        anything.log_density(replace(scan, live=live, floor=np.where(live, 0.02, floor)))
-        for floor in (0.02, 0.9)
-    ]
-    assert said[0] == said[1]
-    assert said[0] != anything.log_density(scan)
 
 
 def test_a_skin_on_half_of_the_link_is_touched_from_half_as_many_sides() -> None:

@@ -115,15 +115,6 @@ def test_silence_tells_of_the_object_from_the_next_contact_on(box_model: Observa
     assert np.isinf(runs.open).tolist() == [False, False, True]
 
 
-@pytest.mark.parametrize("scans", [1, 2, 5])
-def test_a_contact_counts_once_however_many_scans_are_of_it(
-    box_model: ObservationModel, scans: int
-) -> None:
-    runs = remembered(box_model, [(1, True)] * scans + [(2, True), (2, False)]).runs
-    shares = runs.shares.sum(axis=1)
-    assert np.allclose(shares, [1.0 / scans] * scans + [1.0, 1.0])
-
-
 class Felt:
     """Contacts with a box one after the other, and what is believed of it."""
 

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator import injection, paper
+from taxeld.estimator import paper
 from taxeld.estimator import particles as pf
+from taxeld.estimator.bank import touching
 from taxeld.estimator.particles import Belief
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
@@ -122,7 +123,7 @@ def samples(n: int, mean: float) -> Poses:
 def annealed(poses: Poses, *means: float) -> Belief:
     """Samples that know the first of these scans, brought to explain all of them."""
     explain = gaussians(*means)
-    return injection.anneal(poses, lambda told: told[:, 0], everything, explain, rng())
+    return pf.anneal(poses, lambda told: told[:, 0], everything, explain, rng())
 
 
 @pytest.mark.parametrize(("means", "mean", "sd"), [((0.0,), 0.0, 1.0), ((0.0, 0.004), 0.002, 0.7)])
@@ -147,7 +148,7 @@ def test_opinions_share_the_weight_by_their_evidence(nats: float) -> None:
     one, other = (
         pf.equal(poses, gaussians(0.0)(poses)) for poses in (samples(400, 0.0), samples(100, 0.02))
     )
-    both = injection.merge(one, -1.0, other, nats - 1.0)
+    both = pf.merge(one, -1.0, other, nats - 1.0)
     assert np.isclose(both.weight[:400].sum(), 1.0 / (1.0 + np.exp(nats)))
     assert np.isclose(both.weight.sum(), 1.0)
     assert np.array_equal(both.remembered[400:], other.remembered)
@@ -157,7 +158,7 @@ def test_projection_brings_samples_onto_the_object_and_leaves_the_rest(
     box_model: ObservationModel,
 ) -> None:
     made = contacts.synthesise(box_model.scene, 0.04, 0.005, 200, rng()).pose
-    assert np.allclose(injection.project(box_model, made), made, atol=1e-4)
+    assert np.allclose(touching(box_model, made), made, atol=1e-4)
     away = made + np.array([0.003, -0.002, 0.0])
-    depth = -contacts.clearance(box_model.scene, 0.04, injection.project(box_model, away))
+    depth = -contacts.clearance(box_model.scene, 0.04, touching(box_model, away))
     assert np.mean((depth > -5e-4) & (depth < 0.0055)) > 0.97

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taxeld.arrays import Poses
-from taxeld.estimator import injection
 from taxeld.estimator.estimate import MODES_MAX, Hypotheses, Verdict
 from taxeld.estimator.evidence import MOVED, SWAPPED, odds
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.scans import ScanEvidence
-from taxeld.model import se2
+from taxeld.model import contacts, se2
 from taxeld.model.contacts import Proposal
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.symmetry import Mode
@@ -46,9 +45,18 @@ class Known:
         model, proposal = self.on(observation.link)
         poses = proposal.propose(observation.z, observation.live, n, rng)
         poses = poses[np.isfinite(poses).all(axis=1)]
-        if len(poses):
-            poses = injection.project(model, poses)  # one step for samples that miss the object
-        return se2.compose(observation.sensor, poses)
+        return se2.compose(observation.sensor, touching(model, poses))
+
+
+def touching(model: ObservationModel, poses: Poses) -> Poses:
+    """Samples (S, 3) in the sensor frame brought onto the contact manifold by one step (Marić et
+    al. 2026). Samples that miss the object, or press deeper than a taxel can tell, are moved along
+    the contact's normal; the others keep their depth, and so their spread."""
+    ax, ay = contacts.axis_in_object(poses)
+    radius_m = model.layout.radius_m
+    distance, gx, gy = model.scene.clearance(ax, ay)
+    step = -(distance - radius_m + np.clip(radius_m - distance, 0.0, model.depth_max_m))
+    return contacts.pose_of_axis(ax + step * gx, ay + step * gy, poses[:, 2])
 
 
 class Bank:

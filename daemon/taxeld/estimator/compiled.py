@@ -1,4 +1,4 @@
-"""The `Explainer` in C (explain.c), used where it was compiled (`taxeld.native`).
+"""Explains scans in C (explain.c), used where it was compiled (`taxeld.native`).
 
 It computes the same as the numpy code of likelihood.py, without temporary arrays, and equals it but
 for rounding.
@@ -14,7 +14,7 @@ import numpy as np
 from taxeld import native
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses
 from taxeld.estimator import likelihood
-from taxeld.estimator.likelihood import Explain, Explainer, NumpyExplainer
+from taxeld.estimator.likelihood import Explain, NumpyExplainer
 from taxeld.model.noise import BOWLING, FARTHEST_SD, Noise
 from taxeld.model.observation import BAND_M, ObservationModel
 from taxeld.model.response import FARTHEST_RATES, LEAST_RATE
@@ -111,6 +111,7 @@ class CompiledExplainer:
         )
 
     def of(self, fields: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Explain:
+        """As `NumpyExplainer.of`."""
         shape = FIELDS, *fields.shape[1:]
         laid = np.zeros(math.prod(shape) + LANES, np.float32)
         out = laid[:-LANES].reshape(shape)
@@ -133,6 +134,9 @@ class CompiledExplainer:
             return found
 
         return explained
+
+
+Explainer = CompiledExplainer | NumpyExplainer
 
 
 def explainer(model: ObservationModel, noise: Noise) -> Explainer:

@@ -11,7 +11,7 @@ the reading best. A silent scan rules out only presses deeper than its offset co
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,15 +28,6 @@ ROBUST = 3.0  # standard deviations beyond which a reading pulls no harder (Hube
 
 Explain = Callable[[Poses], Floats]
 """How well poses (N, 3) explain K scans: log-densities (N, K)."""
-
-
-class Explainer(Protocol):
-    """Explains scans of one skin by poses of one object: in numpy here, in C in `compiled`."""
-
-    def of(self, fields: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Explain:
-        """What pressed taxels add to log p(scan | pose) of K scans: `fields` (FIELDS, K, M) at the
-        sensor's poses (K, 3). `variance` (K,) of the offsets is in m²; `silent` (K,)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +103,14 @@ def pressed(near: Nearby, fields: Grid, variance: Floats) -> Pressed:
 
 
 class NumpyExplainer:
-    """The `Explainer` where no C code is."""
+    """Explains scans of one skin by poses of one object, where no C code is."""
 
     def __init__(self, model: ObservationModel, noise: Noise) -> None:
         self._model, self._noise = model, noise
 
     def of(self, fields: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Explain:
+        """What pressed taxels add to log p(scan | pose) of K scans: `fields` (FIELDS, K, M) at the
+        sensor's poses (K, 3). `variance` (K,) of the offsets is in m²; `silent` (K,)."""
         return partial(self._explain, fields, sensor, variance, silent)
 
     def _explain(
@@ -140,7 +133,7 @@ class NumpyExplainer:
         spread = told[Field.SIGMA2] + told[Field.GAIN2] * h * h
         off = (told[Field.LEVEL] - h) / np.sqrt(spread)
         gain = self._noise.log_of(told[Field.Z], off, spread) - told[Field.SILENT]
-        gain *= told[Field.LIVE]
+        gain *= told[Field.ROOT] > 0.0
         out = np.empty((n, k))
         out[:, order] = (np.bincount(near.row, gain, k * n) + added).reshape(k, n).T
         return out

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Grid, Poses
-from taxeld.estimator.compiled import explainer
+from taxeld.estimator.compiled import Explainer, explainer
 from taxeld.estimator.evidence import HAZARD, SWAPPED, Runs
-from taxeld.estimator.likelihood import Explain, Explainer, pressed
+from taxeld.estimator.likelihood import Explain, pressed
 from taxeld.estimator.priors import BeliefPrior, PriorTerm
 from taxeld.estimator.scans import Field, ScanEvidence, fields_of
 from taxeld.model.noise import Noise
@@ -240,7 +240,7 @@ class Memory:
             return np.asarray(total.reshape(len(scans), taxels) / n)
 
         h, square = mean(met.h), mean(met.h * met.h)
-        z, live = fields[Field.Z].astype(np.float64), fields[Field.LIVE] > 0.0
+        z, live = fields[Field.Z].astype(np.float64), fields[Field.ROOT] > 0.0
         floor = np.where(z > 0.0, 0.0, fields[Field.LEVEL])
         added = square - h * h + fields[Field.RESIDUE] ** 2
         return Lesson(z, floor, h, mean(met.by_sag), added, live)

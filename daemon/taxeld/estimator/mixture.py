@@ -8,7 +8,6 @@ import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, Place, placed
 from taxeld.estimator.evidence import UNTOUCHED, ModelEvidence, odds
@@ -142,7 +141,7 @@ class Mixture:
         belief.remembered = memory.explain(belief.pose)
         pf.reweight(belief, memory.runs.support(belief.remembered) - known)
         at = memory.terms - len(memory) - 1  # the term's column
-        opinion = injection.anneal(
+        opinion = pf.anneal(
             term.samples(max(self._wanted, 1), self._rng),
             lambda explained: np.asarray(explained[:, at]),
             memory.runs.support,
@@ -203,7 +202,7 @@ class Mixture:
         like is often much the same on opposite sides, and samples may reach one of these alone."""
         poses = pf.resample(self.belief, self._wanted, self._rng).pose
         turned = self.metric.placed(self.metric.centres(poses), poses[:, 2] + np.pi)
-        return injection.anneal(
+        return pf.anneal(
             pf.roughened(turned, self._rng, self._scale),
             lambda explained: np.zeros(len(explained)),
             self.memory.runs.support,
@@ -259,7 +258,7 @@ class Mixture:
         samples = samples.copy()
         sd_m = np.sqrt(memory.variance[scan])
         samples[:, :2] += sd_m * rng.standard_normal((len(samples), 2))
-        return injection.anneal(samples, own_contact, all_of_it, memory.explain, rng, self._scale)
+        return pf.anneal(samples, own_contact, all_of_it, memory.explain, rng, self._scale)
 
     @property
     def _wanted(self) -> int:
@@ -335,24 +334,20 @@ class Mixture:
             apart = self.metric.distance(opinion.pose[:, None], belief.pose[None])
             opinion.ground = belief.ground.take(apart.argmin(axis=1), axis=0)
         runs, evidence = self.memory.runs, self._evidence
-        return injection.merge(
-            belief, evidence.of(belief, runs), opinion, evidence.of(opinion, runs)
-        )
+        return pf.merge(belief, evidence.of(belief, runs), opinion, evidence.of(opinion, runs))
 
     def _become(self, belief: Belief, moves: int) -> None:
         """Resample to the number of equal particles that this width needs, and separate the
         copies."""
         self.belief = pf.resample(belief, self._size(belief), self._rng)
-        support, room = self.memory.runs.support, self._room()
+        memory, touch = self.memory, self.memory.last_touch
+        # around the last touch, as the sensor may have gone elsewhere since
+        centre = np.array(self._config.centre_m) if touch is None else touch
+        room = pf.Room(centre, ROOM * self._config.half_width_m)
         for _ in range(moves):
-            pf.rejuvenate(self.belief, self.memory.explain, support, self._rng, self._scale, room)
-
-    def _room(self) -> pf.Room:
-        """The circle that may hold the object: around the last touch, or around the table's middle.
-        The sensor may have gone elsewhere since."""
-        touch, config = self.memory.last_touch, self._config
-        centre = np.array(config.centre_m) if touch is None else touch
-        return pf.Room(centre, ROOM * config.half_width_m)
+            pf.rejuvenate(
+                self.belief, memory.explain, memory.runs.support, self._rng, self._scale, room
+            )
 
     def _size(self, belief: Belief) -> int:
         config = self._config

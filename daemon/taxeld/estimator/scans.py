@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Bools, Floats, Grid
+from taxeld.arrays import Floats, Grid
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.anything import Anything
 from taxeld.model.noise import Noise
@@ -43,7 +43,6 @@ class Field(IntEnum):
     SAG = 6  # length of the cover's sag beside the taxel [m]
     MOST = 7  # the same, one standard deviation more
     RESIDUE = 8
-    LIVE = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +143,7 @@ def noise_of(config: FilterConfig) -> Noise:
 def fields_of(z: Floats, like: Observation, noise: Noise) -> Grid:
     """The fields of activations z (…, M), of a skin in the state of an observation → (FIELDS, …,
     M)."""
-    live: Bools = like.live
+    live = like.live
     floor, residue = (np.broadcast_to(each, len(live)) for each in (like.floor, like.residue))
     made = np.empty((len(Field), *z.shape), np.float32)
     made[Field.Z] = z
@@ -156,7 +155,6 @@ def fields_of(z: Floats, like: Observation, noise: Noise) -> Grid:
     made[Field.SAG] = noise.sag_m
     made[Field.MOST] = noise.sag_m * np.exp(noise.sag_sd)
     made[Field.RESIDUE] = residue
-    made[Field.LIVE] = live
     return made
 
 
