@@ -165,13 +165,19 @@ class Bank:
         return bool(self.due) or self._opens() is not None
 
     def revisit(self) -> int:
-        """Try an object that is not followed, or take a second opinion; → the number of samples
-        used."""
+        """Have an object explain the scans that it has not learned from, or take a second opinion;
+        → the number of samples used."""
         samples = 0
         if self.due:
-            samples = self._try(self.due.pop(0))
-        elif (k := self._opens()) is not None:
-            samples = self.rules[k].revisit()
+            k = self.due.pop(0)
+            rule, later, self._later[k] = self.rules[k], self._later[k], []
+            if k in self.ruled_out or not later:
+                samples = rule.adopt(self.rule.memory)
+            else:
+                for scan in later:
+                    samples += rule.take(scan)[0]
+        elif (opens := self._opens()) is not None:
+            samples = self.rules[opens].revisit()
         if samples:
             self._weigh()
         return samples
@@ -184,14 +190,6 @@ class Bank:
         """The likeliest followed object whose belief is open to a second opinion."""
         likely = (k for k in self.likely if k in self._followed)
         return next((k for k in likely if self.rules[k].is_open), None)
-
-    def _try(self, k: int) -> int:
-        """Have an object explain the scans that it has not learned from; → the number of samples
-        used."""
-        rule, later, self._later[k] = self.rules[k], self._later[k], []
-        if k in self.ruled_out or not later:
-            return rule.adopt(self.rule.memory)
-        return sum(rule.take(scan)[0] for scan in later)
 
     def _weigh(self) -> None:
         """Find how likely each object is, which ones to follow, and which are ruled out."""

@@ -54,9 +54,14 @@ class Intake:
         """The observation at the sensor's pose (3,) in the world; None where the scan is of no
         use."""
         a, least, most = activation, float(activation.z.min()), float(activation.z.max())
-        if not self._is_usable(a.t, sensor, least, most):
+        is_finite = all(map(math.isfinite, (a.t, least, most, *sensor.tolist())))
+        if not is_finite or a.t < self.t:
             return None
-        before, self._sensor, self.t = self._sensor, sensor, a.t
+        before, self._sensor = self._sensor, sensor
+        if before is not None and math.dist(before[:2].tolist(), sensor[:2].tolist()) > JUMP_M:
+            self._counters.jumps += 1  # a far pose at which the sensor stays is believed next time
+            return None
+        self.t = a.t
         z, live, floor, residue = a.z, a.live, a.floor, a.residue
         if least == most == 0.0:  # the usual case: nothing is stuck, and nothing leaks
             self._stuck.released()
@@ -68,18 +73,6 @@ class Intake:
             live = live & ~stuck
             z, floor, residue = self._leak.without(np.where(live, z, 0.0), floor, residue)
         return Observation(sensor, z, live, floor, residue, a.noise, self._link, a.place_sd_m)
-
-    def _is_usable(self, t: float, sensor: Poses, least: float, most: float) -> bool:
-        """Whether time, pose (3,) and activations from `least` to `most` can be used."""
-        is_finite = all(map(math.isfinite, (t, least, most, *sensor.tolist())))
-        if not is_finite or t < self.t:
-            return False
-        before = self._sensor
-        if before is not None and math.dist(before[:2].tolist(), sensor[:2].tolist()) > JUMP_M:
-            self._counters.jumps += 1
-            self._sensor = sensor  # a far pose at which the sensor stays is believed next time
-            return False
-        return True
 
 
 class Stuck:

@@ -96,11 +96,10 @@ class ScanList:
         return [scan for scan in self.all if scan.number < last or scan.is_contact]
 
     def _read(self, observation: Observation, number: int) -> ScanEvidence:
-        before, noise = self._silent, observation.noise or self._noise
-        is_contact = observation.is_contact
-        if not is_contact and before is not None and _are_alike(before.observation, observation):
+        before, is_contact = self._silent, observation.is_contact
+        if before is not None and not is_contact and _are_alike(before.observation, observation):
             return replace(before, observation=observation, number=number)
-        fields = fields_of(observation.z, observation, noise)
+        fields = fields_of(observation.z, observation, observation.noise or self._noise)
         anything = untouched = float(fields[Field.SILENT].sum(dtype=np.float64))
         if is_contact:
             anything = self._anything[observation.link].log_density(observation)
@@ -112,12 +111,9 @@ class ScanList:
 
 def _are_alike(one: Observation, other: Observation) -> bool:
     """Whether two silent scans tell the same."""
-    return (
-        one.noise is other.noise
-        and np.array_equal(one.live, other.live)
-        and np.array_equal(one.floor, other.floor)
-        and np.array_equal(one.residue, other.residue)
-    )
+    state = ("live", "floor", "residue")
+    same = (np.array_equal(getattr(one, name), getattr(other, name)) for name in state)
+    return one.noise is other.noise and all(same)
 
 
 def surplus(scans: Sequence[ScanEvidence]) -> int | None:
