@@ -12,9 +12,8 @@ from taxeld.layout.layout import Layout
 from taxeld.pipeline.poses import FAR_M
 from taxeld.service.prepare import Prepared
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source, open_source, open_sources, polled
+from taxeld.source.sources import Source, open_source, open_sources
 from taxeld.stream.link import Link, PeerLine
-from taxeld_protocol.decoder import Scan
 
 GATHER_S = 0.0002  # silence after a whole scan: its frames follow each other more closely
 GATHERS = 20  # looks at the device for further frames, GATHER_S apart
@@ -143,10 +142,6 @@ class Inputs:
             if held == before:
                 return
             time.sleep(GATHER_S)
-
-    def poll(self, now_s: float) -> list[list[Scan]]:
-        """The scans of each link that have come; `now_s` is monotonic."""
-        return polled(self.sources, now_s)
 
     def look(self, link: Link, t: float) -> None:
         """Once a second, at the Unix time t: take what the door says of robot and array."""

@@ -26,6 +26,7 @@ from taxeld.service.notify import Notifier
 from taxeld.service.prepare import digest, prepared
 from taxeld.service.publisher import LoopCounters, Publisher
 from taxeld.source.recorder import RecordCounters, Recorder
+from taxeld.source.sources import polled
 from taxeld.stream import messages
 from taxeld.stream.link import Link
 
@@ -155,7 +156,7 @@ class Daemon:
         if any(ready) or pipeline.has_waiting or now_s >= self._next_look_s:
             self._next_look_s = now_s + LOOK_S
             self.door.look(now_s)
-        scans, *further = self.inputs.poll(now_s)
+        scans, *further = polled(self.inputs.sources, now_s)
         has_scans = bool(scans) or any(further)
         source_us = (time.perf_counter_ns() - start_ns) / 1000.0
         cpu_ns = time.thread_time_ns()
