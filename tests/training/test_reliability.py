@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld.estimator.estimate import Hypotheses, Status
+from taxeld.estimator.estimate import Status
 from taxeld_training.filters import cells, levels, reliability
 from taxeld_training.filters.cells import Cell
 from taxeld_training.filters.levels import LEVELS, Level
@@ -27,11 +27,8 @@ PATCH = SHARED / "data" / "layouts" / "ur10e_link1_patch1.json"
 MUG = Setting("025_mug", ring(16), 16)
 
 
-def touch(
-    mm: float, p: float, radius_mm: float = 5.0, *, moved: float = 0.0, other: float = 0.0
-) -> TouchResult:
-    known = Hypotheses(1.0 - moved - other, moved, other)
-    return TouchResult(mm, Status.AMBIGUOUS, 100, p, 1e-3 * radius_mm, known, 1.0)
+def touch(mm: float, p: float, radius_mm: float = 5.0) -> TouchResult:
+    return TouchResult(mm, Status.AMBIGUOUS, 100, p, 1e-3 * radius_mm)
 
 
 def given(*touches: TouchResult) -> Promises:
@@ -62,9 +59,7 @@ def test_shares_of_estimates_have_no_interval_as_if_each_were_a_trial() -> None:
     results = {0: [touch(1.0, 1.0)] * 8}
     every = reliability.promised([results])
     (row,) = promises.reliability(every.p, every.found)
-    told = reliability.told(results)
-    assert not {"right_ci", "misleading_ci", "sure_share_ci"} & {*row, *promises.kept(every), *told}
-    assert "told_ci" in told  # of trials
+    assert not {"right_ci", "misleading_ci"} & {*row, *promises.kept(every)}
 
 
 def test_what_misleads_is_a_share_of_what_is_sure() -> None:
@@ -87,28 +82,6 @@ def test_shares_after_a_contact_are_of_the_runs_with_the_right_object() -> None:
     found = promises.kept(reliability.promised([runs]))
     assert [found[f"found_and_sure_{k}"] for k in (4, 6, 8)] == [1.0, 0.5, 0.5]
     assert [found[f"misleading_{k}"] for k in (4, 6, 8)] == [0.0, 0.5, 0.5]
-
-
-def test_a_moved_object_is_noticed_by_status_hypothesis_or_a_low_p() -> None:
-    sure = touch(1.0, 1.0)
-    lost = touch(99.0, 1.0)
-    flagged = lost._replace(status=Status.INCONSISTENT)
-    runs = {
-        0: [sure] * 4 + [lost, lost, lost, flagged],  # too late
-        1: [sure] * 4 + [touch(99.0, 0.9, moved=0.3, other=0.3), *[lost] * 3],
-        2: [sure] * 4 + [lost, flagged, lost, lost],
-        3: [touch(1.0, 0.3)] * 4 + [lost, lost, touch(99.0, 0.4), lost],
-    }
-    found = reliability.noticed(runs, 4)
-    assert found["noticed"] == [0.25, 0.5, 0.75]
-    assert found["sure_before"] == 3
-    assert found["noticed_if_sure"] == pytest.approx([1 / 3, 2 / 3, 2 / 3], abs=1e-4)
-
-
-def test_a_wrong_object_is_told_by_its_hypothesis_after_six_contacts() -> None:
-    doubt, told = touch(math.nan, 1.0), touch(math.nan, 0.0, other=0.95)
-    found = reliability.told({0: [doubt] * 5 + [told] * 3, 1: [doubt] * 6 + [told] * 2})
-    assert (found["told"], found["sure_share"]) == (0.5, 11 / 16)
 
 
 def test_promises_are_remembered_with_the_estimates_that_make_them(tmp_path: Path) -> None:
@@ -149,17 +122,16 @@ def test_no_object_is_taken_for_itself() -> None:
 def test_reliability_has_groups_and_cells_and_goes_on_where_it_was_cut(
     block: Path, tmp_path: Path
 ) -> None:
-    few = ("--cells", "as assumed,wrong object=016_pear,moved=kidnapped,lengths=usual")
+    few = ("--cells", "as assumed,wrong object=016_pear,moved=5,lengths=usual")
     assert evaluate("reliability", block, tmp_path, *few) == 0
     found = rows(tmp_path, "reliability_cells")
     over = {row["over"]: row for row in found if "over" in row}
     single = {row["factor"]: row for row in found if "over" not in row}
     assert list(single) == ["as assumed", "moved", "lengths", "wrong object"]
     assert not any(row["tuned"] for row in single.values())  # the block was not tuned on
-    assert over.keys() == {"all", "not tuned", "not tuned, right object", "wrong object"}
+    assert over.keys() == {"all", "not tuned", "wrong object"}
     assert over["all"]["estimates"] == sum(row["estimates"] for row in single.values())
     assert over["all"]["sure"] == sum(row["sure"] for row in single.values())
-    assert len(single["moved"]["noticed"]) == 3
     assert single["wrong object"]["found_and_sure_6"] is None
     picture = (tmp_path / "out" / "reliability_cells.png").stat().st_size
     assert 10_000 < picture < 300_000

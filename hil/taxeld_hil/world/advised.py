@@ -18,6 +18,13 @@ from taxeld_hil.world.robot import RobotPath
 Leg = tuple[Floats, float]  # a point (2,) that is reached at a speed [m/s], 0: the robot holds
 
 
+def line_of(approach: Approach) -> Lines:
+    """The line of an approach, as far as it goes without a touch."""
+    far = float(np.linalg.norm(approach.until[:2] - approach.before[:2]))
+    begin, direction = approach.before[None], np.array([approach.direction])
+    return Lines(approach.link, begin, direction, np.array([far]))
+
+
 class AdvisedRobot:
     """A robot beside an object that stands still."""
 
@@ -71,14 +78,10 @@ class AdvisedRobot:
     def _line(self, approach: Approach) -> Floats:
         """Points of a straight approach: where it begins, where it slows and where it presses; of a
         miss where it begins and where it ends."""
-        begin, end = approach.before[:2], approach.until[:2]
-        far = float(np.linalg.norm(end - begin))
-        line = Lines(
-            approach.link, approach.before[None], np.array([approach.direction]), np.array([far])
-        )
+        line = line_of(approach)
         touched = float(lines.travel(line, self._model, self._truth[None])[0, 0])
         if not np.isfinite(touched):
-            return np.array([begin, end])
+            return np.array([approach.before[:2], approach.until[:2]])
         moments = [0.0, max(touched - robot.SLOW_FROM_M, 0.0), touched + approach.depth_m]
         return line.after_each(np.array(moments))[:, :2]
 

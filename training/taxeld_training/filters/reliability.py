@@ -12,18 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.estimator.estimate import Status
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.levels import LEVELS, UNMET, Level
-from taxeld_training.filters.methods import SHIPPED, TABLED, Method, TouchResult, claims
+from taxeld_training.filters.methods import SHIPPED, TABLED, Method, claims
 from taxeld_training.filters.stability import OBJECTS, cell_of
 from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.promises import Promises
-from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
@@ -41,14 +39,11 @@ MET = (  # objects that were taken for others while the filter was built
 )
 ALL, TUNED, NOT_TUNED, SOFT, WRONG = "all", "tuned", "not tuned", "soft skin", "wrong object"
 CURVES = (TUNED, NOT_TUNED, SOFT, WRONG)  # cells whose estimates have a curve together
-OWN = ", right object"  # of a half: its cells with the object that the filter assumes
-GROUPS = (ALL, *CURVES, TUNED + OWN, NOT_TUNED + OWN)
-OTHER, OTHER_AFTER = 0.9, 6  # least probability, and contacts, by which a wrong object is told
-NOTICED, WAIT = 0.5, 3  # least probability, and contacts, by which a moved object is noticed
+GROUPS = (ALL, *CURVES)
 
 
 def reliability_rows(options: Options) -> list[Path]:
-    """Rows, tables and picture of `evaluate reliability`. First figures over many cells: all, each
+    """Rows and picture of `evaluate reliability`. First figures over many cells: all, each
     half, soft skins, wrong objects; then those of each cell.
 
     Raises:
@@ -129,36 +124,7 @@ def groups_of(level: Level, cell: Cell) -> list[str]:
     half = TUNED if is_tuned(level, cell) else NOT_TUNED
     if level.touched:
         return [ALL, half, WRONG]
-    return [ALL, half, half + OWN, *([SOFT] if level.conditions.skin else [])]
-
-
-def noticed(results: Results, contact: int) -> dict[str, Any]:
-    """Shares of runs that noticed, within one contact and more, that the object was put elsewhere
-    after a contact, counted from 1; and of those runs that were found and sure before."""
-    runs = list(results.values())
-    by = np.array([[_notices(each) for each in run[contact : contact + WAIT]] for run in runs])
-    by = np.logical_or.accumulate(by, axis=1)
-    sure = np.array([run[contact - 1].found and run[contact - 1].sure for run in runs])
-    return {
-        "noticed": [share("in", column)["in"] for column in by.T],
-        "noticed_if_sure": [share("in", column)["in"] for column in by[sure].T],
-        "sure_before": int(sure.sum()),
-    }
-
-
-def told(results: Results) -> dict[str, Any]:
-    """Of runs with a wrong object: the share of estimates that are sure nonetheless, after any
-    contact, and the share of runs that are told by `OTHER_AFTER` contacts."""
-    runs = list(results.values())
-    sure = np.array([each.sure for run in runs for each in run])
-    other = np.array([run[OTHER_AFTER - 1].hypotheses.other >= OTHER for run in runs])
-    return {"sure_share": promises.rate(sure.ravel())} | share("told", other)
-
-
-def _notices(result: TouchResult) -> bool:
-    doubt = result.hypotheses.moved + result.hypotheses.other
-    is_inconsistent = result.status is Status.INCONSISTENT
-    return is_inconsistent or doubt > NOTICED or result.p < NOTICED
+    return [ALL, half, *([SOFT] if level.conditions.skin else [])]
 
 
 def _group_row(name: str, given: Promises) -> dict[str, Any]:
@@ -167,7 +133,6 @@ def _group_row(name: str, given: Promises) -> dict[str, Any]:
 
 
 def _cell_row(level: Level, cell: Cell, results: Results) -> dict[str, Any]:
-    kidnapped, given = level.conditions.kidnapped_after, promised([results])
     return {
         "object": cell.setting.object,
         "factor": level.factor,
@@ -176,9 +141,7 @@ def _cell_row(level: Level, cell: Cell, results: Results) -> dict[str, Any]:
         "skin": level.conditions.skin or "exact",
         "tuned": is_tuned(level, cell),
         "proposal": cell.method.proposal,
-        **promises.kept(given),
-        **(told(results) if level.touched else {}),
-        **(noticed(results, kidnapped) if kidnapped else {}),
+        **promises.kept(promised([results])),
         "seeds": len(results),
     }
 

@@ -5,7 +5,6 @@ The grid filter, which runs where `--groups` names it, is the limit: what it doe
 filter of its likelihood finds.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from taxeld_training.filters.cells import TOUCHES, Cell, Results
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
 from taxeld_training.filters.methods import GRID, SHIPPED, TABLED, Method, claims
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.statistics import of_median, p_share, quantiles, rounded, share
+from taxeld_training.jobs.statistics import p_share, share
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
@@ -103,7 +102,7 @@ def _row(level: Level, cell: Cell, results: Results, shipped: Results | None) ->
             ]
             for seed, trial in results.items()
         }
-    last = [trial[TOUCHES - 1] for trial in results.values()]
+    median_mm = float(np.median([trial[TOUCHES - 1].map_mm for trial in results.values()]))
     return {
         "object": cell.setting.object,
         "factor": level.factor,
@@ -113,22 +112,12 @@ def _row(level: Level, cell: Cell, results: Results, shipped: Results | None) ->
         "particles": method.particles,
         "contact": TOUCHES,
         **of_lengths,
-        **errors([result.map_mm for result in last]),
+        "median_mm": None if np.isnan(median_mm) else round(median_mm, 3),
         **shares(results, TOUCHES),
         "p_shipped": p_shipped(results, shipped, TOUCHES),
         "particles_max": method.particles_max or method.particles,
-        "particles_mean": round(float(np.mean([result.particles for result in last])), 1),
         "seeds": len(results),
     }
-
-
-def errors(values_mm: Sequence[float]) -> dict[str, Any]:
-    """Quantiles of errors over trials, and the interval of their median; None where a trial has no
-    error, as of a wrong object."""
-    if not np.isfinite(values_mm).all():
-        return {"map_mm": dict.fromkeys(("q10", "median", "q90")), "map_mm_ci": None}
-    interval = rounded(of_median(values_mm, np.random.default_rng(0)), 3)
-    return {"map_mm": quantiles(values_mm), "map_mm_ci": interval}
 
 
 def shares(results: Results, contact: int) -> dict[str, float | list[float] | None]:

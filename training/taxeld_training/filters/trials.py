@@ -17,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from taxeld.advice.advice import Approach
-from taxeld.advice.lines import Lines, travel
+from taxeld.advice.lines import travel
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Activation, ObservationModel
+from taxeld_hil.world.advised import line_of
 from taxeld_training.filters.conditions import (
     Accepts,
     TrialConditions,
@@ -203,15 +204,10 @@ def advised(
     """From the beginning of an approach to an object at `truth` (3,), in the world, until the touch
     is over; or to the approach's end, where it misses. The object stands. `slips` as of `way_of`.
     """
-    ahead = np.append(approach.until[:2] - approach.before[:2], 0.0)
-    length_m = np.linalg.norm(ahead)
-    ahead /= length_m
-    line = Lines(
-        approach.link, approach.before[None], np.array([approach.direction]), np.array([length_m])
-    )
+    line = line_of(approach)
     way = float(travel(line, model, truth[None])[0, 0])
     if np.isinf(way):
-        moments = np.arange(0.0, length_m, STEP_M)
+        moments = np.arange(0.0, line.length_m[0], STEP_M)
         slips = slips[:0]
     else:
         far = np.arange(0.0, max(way - STEP_M, 0.0), STEP_M)
@@ -221,7 +217,7 @@ def advised(
 
     def at(travel_m: Floats) -> Poses:
         """(A, 3) poses of the object in the sensor frame after so much travel (A,)."""
-        return se2.compose(se2.inverse(approach.before + travel_m[:, None] * ahead), truth)
+        return se2.compose(se2.inverse(line.after_each(travel_m)), truth)
 
     held = at(np.full(1, way + approach.depth_m)) + slips if len(slips) else slips
     poses = [at(moments), held, at(back if len(slips) else moments[:0])]
