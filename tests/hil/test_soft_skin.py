@@ -14,10 +14,8 @@ from taxeld.model import se2
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.electronics import CrossTalk, Response, ThermalDrift
-from taxeld_hil.world.foam import Foam
-from taxeld_hil.world.mesh_physics import MeshPhysics
-from taxeld_hil.world.spread import PerPress, drawn
+from taxeld_hil.world.physics import MeshPhysics
+from taxeld_hil.world.soft_skin import CrossTalk, Foam, PerPress, Response, ThermalDrift, drawn
 from taxeld_hil.world.world import COUNT_MAX, World, make_world
 from tests.hil.rig import DEMO, MODEL, MODULES, SKIN
 

@@ -16,7 +16,7 @@ from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.scenario.mesh_config import PLAIN, SKINS, TYPICAL, MeshConfig
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.mesh_physics import MeshPhysics
+from taxeld_hil.world.physics import MeshPhysics
 from taxeld_training.filters import trials
 from taxeld_training.filters.conditions import (
     SIDE_RAD,

@@ -26,7 +26,7 @@ from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario import scenario as scenarios
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import mesh_of, solid_of
-from taxeld_hil.world.mesh_physics import MeshPhysics
+from taxeld_hil.world.physics import MeshPhysics
 from taxeld_hil.world.world import load_model
 from taxeld_protocol.modules import MAX_MODULES
 

@@ -11,9 +11,10 @@ from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import bundled, mesh_physics
-from taxeld_hil.world.physics import Physics, ScenePhysics
-from taxeld_hil.world.spread import drawn
+from taxeld_hil.world import bundled
+from taxeld_hil.world.mesh_skin import MeshSkin
+from taxeld_hil.world.physics import MeshPhysics, Physics, ScenePhysics
+from taxeld_hil.world.soft_skin import drawn
 from taxeld_protocol.modules import Module
 
 COUNT_MAX = 0xFFFF
@@ -84,7 +85,9 @@ def make_world(
     noise = drawn(skin.noise_counts, rng.spawn(1)[0].standard_normal(taxels))
     physics: Physics = ScenePhysics(model, full_scale)
     if scenario.physics != "scene":
-        physics = mesh_physics.of_scenario(scenario, model, full_scale, rng)
+        solid = bundled.solid_of(scenario.bundle, model.layout)
+        cover = MeshSkin(solid, model.layout, skin.taxel_radius_m, model.depth_max_m)
+        physics = MeshPhysics(skin, cover, model.layout, model.depth_max_m, full_scale, rng)
     channels = Channels(model.layout, modules)
     return World(truth, baseline, noise, physics, channels, rng)
 

@@ -13,9 +13,7 @@ from taxeld.model.noise import FLOOR
 from taxeld.model.observation import Activation, ObservationModel
 from taxeld.skin.foam import Residue
 from taxeld_hil.scenario.mesh_config import SKINS, MeshConfig
-from taxeld_hil.world.electronics import CrossTalk, Response
-from taxeld_hil.world.foam import Foam
-from taxeld_hil.world.spread import PerPress, drawn
+from taxeld_hil.world.soft_skin import CrossTalk, Foam, PerPress, Response, drawn
 from taxeld_training.models.dataset import SILENT
 
 MODULE = 10  # taxels of a module
