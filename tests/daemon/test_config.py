@@ -7,11 +7,15 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from taxeld.config.file import load, parse
-from taxeld.config.gate import ConfigError, keys_of
+from taxeld.config.gate import ConfigError, keys_of, take
 from taxeld.config.gone import GONE
 from taxeld.config.tables import OBJECTS_MAX, Config
+from taxeld.prior import PosePrior
+from taxeld.proposals.manifest import Manifest
 
 SOURCE = '[source]\nkind = "can"\nchannel = "can0"\n'
 MINIMAL = SOURCE + '[scene]\nbundle = "box"\n'
@@ -105,6 +109,22 @@ def test_a_minimal_configuration_has_every_default() -> None:
 )
 def test_each_fault_is_one_line_that_names_its_path(text: str, fault: str) -> None:
     assert any(line.startswith(fault) for line in faults(text)), faults(text)
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**400), 10**400) | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=6,
+)
+
+
+@given(table=st.sampled_from([Config, PosePrior, Manifest]), data=st.data())
+def test_any_value_is_taken_or_refused_in_a_line(table: type, data: st.DataObject) -> None:
+    names = st.sampled_from([key.name for key in keys_of(table)]) | st.text()
+    found: list[str] = []
+    made = take(table, data.draw(st.dictionaries(names, VALUES)), found)
+    assert (made is None) is bool(found)
+    assert all(line.isprintable() for line in found)
 
 
 def test_all_faults_are_found_at_once() -> None:

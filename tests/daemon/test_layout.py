@@ -1,7 +1,6 @@
 """The layout value: numbering, digest, turns; generated layouts; the cylinder fit; the command."""
 
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -228,12 +227,3 @@ class TestSummary:
         assert out.read_bytes().startswith(b"\x89PNG")
         refused("layout", "sphere:")
         assert main(["layout", WRAP, "--png", str(tmp_path / "no" / "skin.png")]) == 2
-
-    def test_without_matplotlib_the_cure_is_the_view_extra(self, monkeypatch, capsys):
-        monkeypatch.delitem(sys.modules, "taxeld.layout.draw", raising=False)
-        monkeypatch.setitem(sys.modules, "matplotlib", None)
-        assert main(["layout", WRAP, "--png", "skin.png"]) == 2
-        error = capsys.readouterr().err
-        assert "-m pip install" in error
-        assert "matplotlib" in error
-        assert error.count("\n") == 1

@@ -186,13 +186,6 @@ def test_a_fault_names_its_place_and_the_cure(tmp_path: Path, content: Any, word
     assert fault(tmp_path, content).startswith(words)
 
 
-@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
-def test_a_directory_or_a_pipe_is_no_layout(tmp_path: Path, make: Callable[[Path], None]) -> None:
-    make(tmp_path / "skin.json")
-    with pytest.raises(SetupError, match="it is no regular file"):
-        layouts.load(str(tmp_path / "skin.json"))
-
-
 def test_a_flat_patch_can_be_read_but_not_run(tmp_path: Path) -> None:
     file = document()
     for t in file["skin"]["taxels"]:

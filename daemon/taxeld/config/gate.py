@@ -116,7 +116,7 @@ def _given(
     """The checked values of a dataclass, without defaults."""
     known = {each.name: each for each in keys_of(cls)}
     for name in values.keys() - known if not more else ():
-        shown = str(name)[:KEY_SHOWN]
+        shown = one_line(str(name)[:KEY_SHOWN])
         near = difflib.get_close_matches(shown, known, 1)
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
         faults.append(_gone(f"{path}{name}") or f"{path}{shown}: unknown key; {hint}")
@@ -160,7 +160,7 @@ def value(kind: Any, given: Any, faults: list[str], path: str, more: bool = Fals
         case _:
             fits = False
     if not fits:
-        faults.append(f"{path}: must be {_described(kind)}, not {_shown(given)}")
+        faults.append(one_line(f"{path}: must be {_described(kind)}, not {_shown(given)}"))
     return given if fits else None
 
 

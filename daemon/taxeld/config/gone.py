@@ -16,7 +16,7 @@ GONE: dict[str, str] = {
     "taxeld-hil table": "'taxeld-hil matrix' has in which signs each fault showed, and how soon",
     "taxeld-hil soak --lap": "a soak's report has a row a lap",
     "taxeld-hil soak --no-faults": "a scenario without faults has none: 'taxeld-hil matrix demo'",
-    "taxeld-hil soak --frozen": "skin.learn = false has a daemon learn nothing",
+    "taxeld-hil soak --frozen": "a soak's daemon learns, as every daemon does",
     "taxeld-train evaluate ablation": WHOLE,
     "taxeld-train evaluate filter": WHOLE,
     "taxeld-train evaluate integrity": "'evaluate reliability' counts what misleads",
