@@ -1,6 +1,7 @@
 // The smallest subscriber: print where the object is whenever a touch has ended.
 // Debian: cppzmq-dev libmsgpack-cxx-dev; g++ -std=c++17 -O2 subscribe.cpp -o subscribe -lzmq
 #include <cstdio>
+#include <cstdlib>
 #include <map>
 #include <msgpack.hpp>
 #include <vector>
@@ -13,7 +14,14 @@ constexpr int CONVERGED = 3;  // of `status`: docs/stream.md has all numbers
 int main(int argc, char** argv) {
     zmq::context_t context;
     zmq::socket_t socket(context, zmq::socket_type::sub);
-    socket.connect(argc > 1 ? argv[1] : "ipc:///run/taxeld/stream");
+    // of the service, and of a daemon that this user runs: whichever is there, or comes later
+    const char* own = std::getenv("XDG_RUNTIME_DIR");
+    std::vector<std::string> usual = {"ipc:///run/taxeld/stream",
+                                      "ipc://" + std::string(own ? own : "/nowhere") + "/taxeld/stream"};
+    for (auto& endpoint : argc > 1 ? std::vector<std::string>{argv[1]} : usual) {
+        socket.connect(endpoint);
+        std::fprintf(stderr, "listening at %s\n", endpoint.c_str());
+    }
     socket.set(zmq::sockopt::subscribe, "/taxeld/estimate");
     for (bool touching = false;;) {
         std::vector<zmq::message_t> frames;  // topic, map, time

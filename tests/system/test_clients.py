@@ -124,11 +124,11 @@ def test_a_wrong_argument_of_the_python_client_is_told_without_a_traceback() -> 
     assert ended.stderr.startswith("nonsense: ")
 
 
-@pytest.mark.parametrize("name", ["python", "node"])
+@pytest.mark.parametrize("name", MAKERS)
 def test_a_client_that_starts_first_hears_a_daemon_that_comes_later(
     tmp_path: Path, name: str
 ) -> None:
-    command = {"python": python, "node": node}[name](tmp_path)
+    command = MAKERS[name](tmp_path)
     if command is None:
         pytest.skip(f"{NEEDS}: not here")
     environ = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
