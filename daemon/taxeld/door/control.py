@@ -140,16 +140,12 @@ def for_members(group: str) -> MayChange:
     group, as the kernel knew them when they connected. The function gives the reason for a refusal
     of the peer that sent a frame, empty where there is none."""
     try:
-        number = grp.getgrnam(group).gr_gid if group else -1
-    except KeyError:
-        number = -1
-    refusal = (
-        f"is for members of the group {group}: sudo usermod -aG {group} USER, and log in again"
-    )
-    if number <= 0:  # nobody is to join root's group
+        number = grp.getgrnam(group).gr_gid
         refusal = (
-            f"is for the daemon's own user; {group or 'the group'} is no group here, or root's"
+            f"is for members of the group {group}: sudo usermod -aG {group} USER, and log in again"
         )
+    except KeyError:
+        number, refusal = -1, f"is for the daemon's own user, as there is no group {group} here"
 
     def why_not(frame: zmq.Frame) -> str:
         option, level = kernel.SO_PEERCRED, kernel.SOL_SOCKET

@@ -9,14 +9,13 @@ import socket
 import sys
 import time
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgpack
 import zmq
 
 from taxeld.config import endpoints
 from taxeld.door import settings as limits
-from taxeld.door.admission import Admission
 from taxeld.door.binding import NotNowError, bound
 from taxeld.door.control import Control, MayChange, for_members, packed_error, packed_ok
 from taxeld.door.robot import Array, Pose, Robot
@@ -28,6 +27,9 @@ from taxeld.stream.link import Report
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import ESTIMATE, HEALTH, INFO
 from taxeld_protocol.array import ArrayFrame
+
+if TYPE_CHECKING:
+    from taxeld.door.admission import Admission
 
 WAIT_MS = 100  # for a peer or the loop
 LOOK_S, REPORT_S = 0.1, 1.0
@@ -68,6 +70,8 @@ class Door:
         served = (*settings.relay_publish, settings.relay_control)
         keys = curve.read_keys(settings.keys, settings.robot, served)
         if keys is not None and keys.clients:
+            from taxeld.door.admission import Admission  # noqa: PLC0415  (7 MB of asyncio)
+
             self._admission = Admission(context, keys)
         for key, named in (
             ("publish.endpoints", settings.publish),
