@@ -25,7 +25,7 @@ from taxeld.service.inputs import GATHER_S, GATHERS
 from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
 from taxeld.service.publisher import LAST
-from taxeld.stream import messages
+from taxeld.stream import messages, topics
 from taxeld_protocol.decoder import Scan
 from tests.rig.clocks import until
 from tests.rig.simulated_skin import SimulatedSkin
@@ -60,7 +60,7 @@ def test_subscribers_hear_what_plotjuggler_plots_and_clients_are_answered(
 ) -> None:
     """Topic, one map of plain types with string keys and no trailing bytes, a time in text."""
     with Sockets() as sockets:
-        socket = sockets.subscriber(f"ipc://{tmp_path}/stream", messages.ESTIMATE)
+        socket = sockets.subscriber(f"ipc://{tmp_path}/stream", topics.ESTIMATE)
         asked = sockets.open(zmq.REQ)
         asked.connect(f"ipc://{tmp_path}/control")
         until(lambda: socket.poll(5), lambda: daemon.tick(time.monotonic()))
@@ -118,8 +118,8 @@ def test_without_scans_estimates_come_at_their_own_rate_and_with_each_change(
     sent = []
     for k in range(100):  # a second, in passes of 10 ms
         daemon.tick(now + 0.01 * k)
-        sent.append(len(heard.of(messages.ESTIMATE)))
-    estimates = heard.of(messages.ESTIMATE)
+        sent.append(len(heard.of(topics.ESTIMATE)))
+    estimates = heard.of(topics.ESTIMATE)
     assert 16 <= len(estimates) <= 22  # 20 Hz, in whole passes
     assert [e["seq"] for e in estimates] == list(range(1, len(estimates) + 1))
     statuses = [e["status"] for e in estimates]
@@ -129,7 +129,7 @@ def test_without_scans_estimates_come_at_their_own_rate_and_with_each_change(
     daemon.pipeline.tare()
     daemon.pipeline.freshness.came(now + 1.0)
     daemon.tick(now + 1.0001)
-    assert heard.of(messages.ESTIMATE)[-1]["status"] == Status.STARTING
+    assert heard.of(topics.ESTIMATE)[-1]["status"] == Status.STARTING
 
 
 def test_each_scan_that_is_used_has_its_estimate_however_many_come_at_once(
@@ -147,11 +147,11 @@ def test_each_scan_that_is_used_has_its_estimate_however_many_come_at_once(
         monkeypatch.setattr(time, "time", lambda arrived=arrived: arrived)
         daemon.tick(now + 0.001 * k)
     monkeypatch.undo()
-    used = [e for e in heard.of(messages.ESTIMATE) if e["status"] == Status.SEARCHING]
+    used = [e for e in heard.of(topics.ESTIMATE) if e["status"] == Status.SEARCHING]
     assert [e["t"] for e in used] == [scan.t for scan in scans[-len(used) :]]
     assert len(used) >= 14
     assert all(e["lat_us"]["skin"] > 0.0 for e in used)
-    assert [e["seq"] for e in used] == [t["seq"] for t in heard.of(messages.TAXELS)][-len(used) :]
+    assert [e["seq"] for e in used] == [t["seq"] for t in heard.of(topics.TAXELS)][-len(used) :]
 
 
 class Touches:
@@ -182,7 +182,7 @@ class Touches:
         self.now += 0.002
         self.daemon.tick(self.now, ready)
         self.scans = []
-        return [m for topic, m in self.heard[before:] if topic == messages.ESTIMATE]
+        return [m for topic, m in self.heard[before:] if topic == topics.ESTIMATE]
 
 
 @pytest.fixture
@@ -252,7 +252,7 @@ def test_all_scans_that_have_come_are_worked_on_to_their_end_before_the_next_wai
     taken = list[float]()
 
     def wait(*_: object) -> Ready:
-        sent = {e["t"] for e in touches.heard.of(messages.ESTIMATE)}
+        sent = {e["t"] for e in touches.heard.of(topics.ESTIMATE)}
         assert sent.issuperset(taken)
         if not scans:
             daemon.stop()
@@ -346,7 +346,7 @@ def test_a_robots_mistake_is_named_in_the_answer_to_status(tmp_path: Path) -> No
 
         def goes_on() -> None:
             for pose in (good, bad):
-                robot.send_multipart([messages.SENSOR_POSE, msgpack.packb(pose), b"1.0"])
+                robot.send_multipart([topics.SENSOR_POSE, msgpack.packb(pose), b"1.0"])
             daemon.tick(time.monotonic())
 
         fault = "messages come and are no poses: theta is beyond 1.5 turns: send"

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgpack
 import zmq
 
-from taxeld.stream import messages
+from taxeld.stream import topics
 
 from ..rig.clocks import PATIENCE_S, until
 from ..rig.sockets import Sockets
@@ -33,8 +33,8 @@ def test_health_becomes_a_file_of_metrics_that_goes_when_health_does(
     with subprocess.Popen(command) as exporter:
         try:
             assert publisher.poll(1000 * PATIENCE_S)
-            assert publisher.recv() == b"\x01" + messages.HEALTH
-            publisher.send_multipart([messages.HEALTH, msgpack.packb(health), b"1700000005.0"])
+            assert publisher.recv() == b"\x01" + topics.HEALTH
+            publisher.send_multipart([topics.HEALTH, msgpack.packb(health), b"1700000005.0"])
             until(path.exists)
             text = path.read_text(encoding="utf-8")
             assert not path.with_suffix(".new").exists()

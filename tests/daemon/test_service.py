@@ -19,7 +19,7 @@ from taxeld.layout import read as layouts
 from taxeld.service.clock import WallClock
 from taxeld.service.loop import Daemon
 from taxeld.source.recorder import Recorder
-from taxeld.stream import messages
+from taxeld.stream import topics
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.configurations import Table, config, served
 from tests.rig.processes import door_of
@@ -113,7 +113,7 @@ def test_a_scan_is_estimated_when_it_comes_however_slow_the_ticks_are(
     runs = threading.Thread(target=daemon.run)
     heard: list[dict[str, Any]] = []
     with Sockets() as sockets:
-        socket = sockets.subscriber(f"ipc://{tmp_path}/stream", messages.ESTIMATE)
+        socket = sockets.subscriber(f"ipc://{tmp_path}/stream", topics.ESTIMATE)
 
         def listen() -> None:
             hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)

@@ -19,7 +19,7 @@ from taxeld.config.gate import ConfigError
 from taxeld.config.tables import SkinConfig
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.samples import Samples
-from taxeld.stream import client, messages
+from taxeld.stream import client, topics
 from tests.rig.configurations import config, configuration
 from tests.rig.recorded import LiveSkin, write_session
 from tests.rig.simulated_skin import SimulatedSkin
@@ -36,7 +36,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
     """What a daemon sends and answers while its skin is touched twice, by topic and command; and
     the modules that it has loaded."""
     place = tmp_path_factory.mktemp("alone")
-    received: dict[str, list[Any]] = {messages.CONTACTS.decode(): []}
+    received: dict[str, list[Any]] = {topics.CONTACTS.decode(): []}
     with (
         LiveSkin(place, touches=2) as skin,
         zmq.Context() as context,
@@ -50,12 +50,12 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
             try:
                 deadline = time.monotonic() + 60.0
-                while sum(not m["patches"] for m in received[messages.CONTACTS.decode()]) < 2:
+                while sum(not m["patches"] for m in received[topics.CONTACTS.decode()]) < 2:
                     assert time.monotonic() < deadline, "it does not feel both touches"
                     if socket.poll(20):
                         topic, body, _ = socket.recv_multipart()
                         received.setdefault(topic.decode(), []).append(msgpack.unpackb(body))
-                    if "status" not in received and received[messages.CONTACTS.decode()]:
+                    if "status" not in received and received[topics.CONTACTS.decode()]:
                         for name in ("status", "info", "reset"):
                             answer = client.ask(f"ipc://{place}/control", name, timeout_s=20.0)
                             received[name] = [answer]
@@ -71,8 +71,8 @@ def test_taxels_contacts_health_and_info_are_sent_and_no_estimate(
     ran: dict[str, list[Any]],
 ) -> None:
     sent = {topic for topic in ran if topic.startswith("/")}
-    topics = messages.TAXELS, messages.CONTACTS, messages.HEALTH, messages.INFO
-    assert sent == {topic.decode() for topic in topics}
+    told = topics.TAXELS, topics.CONTACTS, topics.HEALTH, topics.INFO
+    assert sent == {topic.decode() for topic in told}
     (info,) = ran["info"]
     assert (info["info"]["object"], info["info"]["objects"]) == ("", [])
     assert info["info"].keys() == documented("/taxeld/info")[1].keys()

@@ -13,7 +13,7 @@ import zmq
 from taxeld.door.robot import as_pose
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.freshness import Why
-from taxeld.stream import client, messages, values
+from taxeld.stream import client, topics, values
 from tests.rig.configurations import configuration, served
 from tests.rig.recorded import LiveSkin
 
@@ -48,7 +48,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, 
                     if socket.poll(20):
                         topic, body, _ = socket.recv_multipart()
                         received.setdefault(topic.decode(), []).append(msgpack.unpackb(body))
-                    if messages.PARTICLES.decode() in received and "status" not in received:
+                    if topics.PARTICLES.decode() in received and "status" not in received:
                         for name in COMMANDS:
                             answer = client.ask(f"ipc://{place}/control", name, timeout_s=20.0)
                             assert answer is not None
@@ -60,7 +60,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, 
     return received
 
 
-@pytest.mark.parametrize("topic", [topic.decode() for topic in messages.TOPICS])
+@pytest.mark.parametrize("topic", [topic.decode() for topic in topics.TOPICS])
 def test_each_message_has_the_documented_keys_and_types(
     heard: dict[str, list[dict[str, Any]]], topic: str
 ) -> None:
@@ -104,7 +104,7 @@ def test_every_name_of_a_number_is_documented(kind: type[IntEnum]) -> None:
 def test_the_documented_sensor_pose_is_taken() -> None:
     keys, example = documented("/robot/sensor_pose")
     assert leaves(example) == keys
-    pose = as_pose([messages.SENSOR_POSE, msgpack.packb(example), b"0.0"])
+    pose = as_pose([topics.SENSOR_POSE, msgpack.packb(example), b"0.0"])
     assert pose == tuple(example[key] for key in ("t", "x", "y", "theta"))
 
 

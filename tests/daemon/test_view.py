@@ -21,7 +21,7 @@ from taxeld.cli import main
 from taxeld.commands.running import Subscriber
 from taxeld.errors import WorkError
 from taxeld.layout import read as layouts
-from taxeld.stream import messages
+from taxeld.stream import topics
 from taxeld.view import view
 from tests.rig.commands import refused
 from tests.rig.configurations import configuration
@@ -31,7 +31,7 @@ from .conftest import Sockets
 from .test_stream_document import documented
 
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
-TOPICS = messages.INFO, messages.TAXELS, messages.ESTIMATE, messages.PARTICLES
+TOPICS = topics.INFO, topics.TAXELS, topics.ESTIMATE, topics.PARTICLES
 ALWAYS = {
     "/world/link",
     "/world/link/skin",
@@ -68,10 +68,10 @@ def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(tmp_path
     whole = drawn(tmp_path / "run.rrd", str(SESSION))
     assert whole.keys() >= ALWAYS
     said = list(view.recorded(SESSION)[1])
-    topics = Counter(topic for topic, _ in said)
-    assert whole["/world/link/skin"] == topics[messages.TAXELS] > 20
-    assert whole["/world/particles"] == topics[messages.PARTICLES] > 4
-    valid = sum(m["valid"] for topic, m in said if topic == messages.ESTIMATE)
+    sent = Counter(topic for topic, _ in said)
+    assert whole["/world/link/skin"] == sent[topics.TAXELS] > 20
+    assert whole["/world/particles"] == sent[topics.PARTICLES] > 4
+    valid = sum(m["valid"] for topic, m in said if topic == topics.ESTIMATE)
     assert whole["/plot/belief/p"] == whole["/plot/spread/x_mm"] == valid
     assert "/plot/error/add_mm" not in whole, "nobody knows the truth of this session"
     begin = drawn(tmp_path / "begin.rrd", str(SESSION), "--seconds", "2")
@@ -98,9 +98,9 @@ def maps() -> Maps:
     """A message of each topic that is drawn, as documented, of a skin with two pressed taxels."""
     made = {topic: documented(topic.decode())[1] for topic in TOPICS}
     positions = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015").position_m
-    made[messages.INFO]["layout"] |= {"position_m": positions.tolist()}
+    made[topics.INFO]["layout"] |= {"position_m": positions.tolist()}
     z = [0.45, *[0.0] * (len(positions) - 2), 1.0]
-    made[messages.TAXELS] |= {"z": z, "live": [True] * len(z)}
+    made[topics.TAXELS] |= {"z": z, "live": [True] * len(z)}
     return made
 
 
@@ -108,10 +108,10 @@ def restarted(number: int, said: Maps) -> Maps:
     """The same daemon, and from the tenth scan on one that knows a second object and has another
     skin; its info comes ten scans late."""
     if number >= 10:
-        info = said[messages.INFO]
-        for one in (said[messages.ESTIMATE], *said[messages.ESTIMATE]["modes"]):
+        info = said[topics.INFO]
+        for one in (said[topics.ESTIMATE], *said[topics.ESTIMATE]["modes"]):
             one["object"] = 1
-        said[messages.TAXELS] |= {"z": [0.5], "live": [True]}
+        said[topics.TAXELS] |= {"z": [0.5], "live": [True]}
         info["objects"] = info["objects"][:1] * 2
         info["layout"]["position_m"] = [[0.04, 0.0, 0.0]]
     return said if number in (0, 20) else {topic: said[topic] for topic in TOPICS[1:]}
@@ -169,7 +169,7 @@ def test_a_message_of_another_version_or_program_is_refused(
     daemon: Callable[..., str], version: int | None
 ) -> None:
     def other(_: int, said: Maps) -> Maps:
-        said[messages.TAXELS]["v"] = version
+        said[topics.TAXELS]["v"] = version
         return said
 
     with contextlib.closing(Subscriber(daemon(other), TOPICS)) as streams:

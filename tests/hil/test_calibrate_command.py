@@ -19,7 +19,7 @@ from taxeld.config.tables import SkinConfig
 from taxeld.model import se2
 from taxeld.service import calibration_file
 from taxeld.skin.calibration import Calibration
-from taxeld.stream import messages
+from taxeld.stream import topics
 from taxeld_hil.calibration import calibrate
 from taxeld_hil.calibration.guided import Guided
 from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
@@ -159,7 +159,7 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
                 next_pose_s = now_s + 0.01
                 x, y, theta = at.tolist()
                 pose = {"t": time.time(), "x": x, "y": y, "theta": theta}
-                robot.send_multipart([messages.SENSOR_POSE, msgpack.packb(pose), b"0"])
+                robot.send_multipart([topics.SENSOR_POSE, msgpack.packb(pose), b"0"])
 
             def counts(_: int, at: np.ndarray = at) -> list[int]:
                 pressed = skin.counts(se2.compose(at, skin.mount)[None])[0]

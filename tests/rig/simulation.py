@@ -31,7 +31,7 @@ from taxeld.service.clock import Ticker, WallClock
 from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
 from taxeld.source.recorder import Recorder
-from taxeld.stream import messages, pair
+from taxeld.stream import messages, pair, topics
 from taxeld.stream.link import Link
 from taxeld.stream.pair import Kind
 from taxeld_hil.grade.reconcile import laws
@@ -172,7 +172,7 @@ class Run:
         send, advance, think = link.send, pipeline.advance, pipeline.think
 
         def sent(topic: bytes, message: Mapping[str, Any], t: float) -> None:
-            if topic == messages.ESTIMATE:
+            if topic == topics.ESTIMATE:
                 self._sent.append(dict(message))
             send(topic, message, t)
 

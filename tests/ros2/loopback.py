@@ -13,7 +13,7 @@ from typing import Any
 import msgpack
 import zmq
 
-from taxeld.stream import messages
+from taxeld.stream import topics
 from tests.rig.clocks import PATIENCE_S
 from tests.rig.stream_page import documented
 
@@ -56,12 +56,12 @@ class Daemon(End):
     def say(self, **changed: Any) -> dict[str, Any]:
         """An estimate of a scan of now; → its map."""
         message = {**self.estimate, "t": time.time(), **changed}
-        self._send(messages.ESTIMATE, message)
+        self._send(topics.ESTIMATE, message)
         return message
 
     def say_all(self) -> dict[str, Any]:
         """Health, and an estimate; → its map."""
-        self._send(messages.HEALTH, documented("/taxeld/health")[1])
+        self._send(topics.HEALTH, documented("/taxeld/health")[1])
         return self.say()
 
     def _send(self, topic: bytes, message: dict[str, Any]) -> None:
@@ -73,7 +73,7 @@ class Robot(End):
 
     def __init__(self, place: Path) -> None:
         super().__init__(zmq.SUB, f"ipc://{place}/robot")
-        self._socket.setsockopt(zmq.SUBSCRIBE, messages.SENSOR_POSE)
+        self._socket.setsockopt(zmq.SUBSCRIBE, topics.SENSOR_POSE)
         self._socket.connect(self.endpoint)
 
     def pose(self) -> dict[str, float] | None:

@@ -14,7 +14,7 @@ import zmq
 
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
-from taxeld.stream import messages
+from taxeld.stream import topics
 
 from ..rig.clocks import PATIENCE_S, until
 from ..rig.sockets import Sockets
@@ -92,14 +92,14 @@ def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
             daemon.bind(f"ipc://{place}/stream")
             for _ in clients:
                 assert daemon.poll(1000 * PATIENCE_S), "a client has not subscribed"
-                assert daemon.recv() == b"\x01" + messages.ESTIMATE
+                assert daemon.recv() == b"\x01" + topics.ESTIMATE
             for x_m, why, status in TOUCHES:
                 for contact in (True, True, False, False):
                     estimate = documented("/taxeld/estimate")[1]
                     estimate |= {"valid": why is Why.VALID, "why": why, "status": status}
                     estimate |= {"contact": contact, "map": {**estimate["map"], "x": x_m}}
                     body = msgpack.packb(estimate)
-                    daemon.send_multipart([messages.ESTIMATE, body, b"1700000005.121000"])
+                    daemon.send_multipart([topics.ESTIMATE, body, b"1700000005.121000"])
             until(all_have_printed)
     finally:
         for client in clients:

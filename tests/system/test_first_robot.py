@@ -15,7 +15,7 @@ import zmq
 
 from taxeld.door.robot import as_pose
 from taxeld.layout import read as layouts
-from taxeld.stream import messages
+from taxeld.stream import topics
 from tests.rig.skins import table_of
 
 pytestmark = pytest.mark.check
@@ -174,7 +174,7 @@ def test_the_example_publisher_is_heard_as_a_robot(tmp_path: Path) -> None:
         zmq.Context() as context,
         context.socket(zmq.SUB) as socket,
     ):
-        socket.setsockopt(zmq.SUBSCRIBE, messages.SENSOR_POSE)
+        socket.setsockopt(zmq.SUBSCRIBE, topics.SENSOR_POSE)
         socket.connect(endpoint)
         assert socket.poll(60_000), "nothing was published"
         parts = socket.recv_multipart()

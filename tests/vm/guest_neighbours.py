@@ -19,7 +19,7 @@ from touch import OVER_TCP, PATIENCE_S, VCAN0, frame_times, recording, sh, until
 
 from taxeld.config.tables import ControlConfig, PublishConfig
 from taxeld.source import session
-from taxeld.stream import client, messages
+from taxeld.stream import client, topics
 
 STREAM, CONTROL = PublishConfig().endpoints[0], ControlConfig().endpoint
 CHANGER, MEMBER, STRANGER = "changer", "member", "stranger"
@@ -49,7 +49,7 @@ class Listener:
         self._socket = context.socket(zmq.SUB)
         self._socket.linger = 0
         self._socket.rcvhwm = 0  # what is lost is lost on the other side
-        self._socket.subscribe(messages.ESTIMATE)
+        self._socket.subscribe(topics.ESTIMATE)
         self._socket.connect(endpoint)
 
     def hear(self) -> int:

@@ -19,7 +19,7 @@ from taxeld.layout import read as layouts
 from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
 from taxeld.source import session
-from taxeld.stream import client, messages
+from taxeld.stream import client, topics
 
 PATIENCE_S = 180.0  # an emulated processor is some twenty times slower
 GOOD_MM = 10.0
@@ -203,7 +203,7 @@ class Touch:
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.SUBSCRIBE, messages.ESTIMATE)
+        self._socket.setsockopt(zmq.SUBSCRIBE, topics.ESTIMATE)
         self._socket.connect(PublishConfig().endpoints[0])
 
     def __enter__(self) -> Self:

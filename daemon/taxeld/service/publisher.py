@@ -17,7 +17,7 @@ from taxeld.service.inputs import Inputs
 from taxeld.service.notices import Notices
 from taxeld.service.prepare import Prepared
 from taxeld.skin.patches import Patches
-from taxeld.stream import messages
+from taxeld.stream import messages, topics
 from taxeld.stream.link import Link
 
 PARTICLES_HZ = 20.0
@@ -72,9 +72,9 @@ class Publisher:
         if (outcome.is_used and self._names) or self._is_news(outcome.estimate):
             self._send_estimate(_stages_us(outcome) | lat_us, now_s)
         is_read = stage.fresh.last is not Why.SCANS_MISTIMED
-        if self._config.publish.counts and is_read and link.wants(messages.COUNTS):
+        if self._config.publish.counts and is_read and link.wants(topics.COUNTS):
             told = messages.counts(t, stage.skin.counts, self.seq, outcome.link)
-            link.send(messages.COUNTS, told, t)
+            link.send(topics.COUNTS, told, t)
         if activation is not None:
             self._send_activation(activation, outcome.sensor, now_s, outcome.link)
         self._took(total_us)
@@ -108,7 +108,7 @@ class Publisher:
         """Publish the message of a second, and log what has changed."""
         self._next_health_s = now_s + HEALTH_S
         self._health_sent = health
-        self._link.send(messages.HEALTH, health, health["t"])
+        self._link.send(topics.HEALTH, health, health["t"])
         self._notices.inputs(self._inputs.watch.fault, now_s)
         self._link.tell(self._state())
 
@@ -169,25 +169,25 @@ class Publisher:
             lat_us=lat_us,
             links=freshness.of_links(now_s),
         )
-        self._link.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
+        self._link.send(topics.ESTIMATE, self._estimate_sent, estimate.t)
 
     def _send_activation(
         self, activation: Activation, sensor: Poses | None, now_s: float, number: int
     ) -> None:
         t, link = activation.t, self._link
-        if link.wants(messages.TAXELS):
-            link.send(messages.TAXELS, messages.taxels(activation, sensor, self.seq, number), t)
+        if link.wants(topics.TAXELS):
+            link.send(topics.TAXELS, messages.taxels(activation, sensor, self.seq, number), t)
         patches, skin = self._patches[number], self._pipeline.stages[number].skin
-        if link.wants(messages.CONTACTS) and (skin.touched or patches.now):
+        if link.wants(topics.CONTACTS) and (skin.touched or patches.now):
             patches.on_scan(activation.z)
             told = messages.contacts(t, patches, sensor, self.seq, number)
-            link.send(messages.CONTACTS, told, t)
-        is_due = now_s >= self._next_particles_s and link.wants(messages.PARTICLES)
+            link.send(topics.CONTACTS, told, t)
+        is_due = now_s >= self._next_particles_s and link.wants(topics.PARTICLES)
         if is_due and self._names and self._pipeline.estimate.contact:
             self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
             belief = self._pipeline.estimator.rule.belief
             cloud = messages.particles(t, self.seq, belief.pose, belief.weight)
-            link.send(messages.PARTICLES, cloud, t)
+            link.send(topics.PARTICLES, cloud, t)
 
 
 def _stages_us(outcome: Outcome) -> dict[str, float]:

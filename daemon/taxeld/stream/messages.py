@@ -20,29 +20,6 @@ from taxeld.pipeline.freshness import CURES, Why
 from taxeld.proposals.samples import Degraded
 from taxeld.skin.patches import Patches, in_world
 from taxeld.stream import values
-from taxeld.stream.topics import (
-    CONTACTS,
-    COUNTS,
-    ESTIMATE,
-    HEALTH,
-    INFO,
-    PARTICLES,
-    SENSOR_POSE,
-    TAXELS,
-    TOPICS,
-)
-
-__all__ = [  # all names beside this module's own
-    "CONTACTS",
-    "COUNTS",
-    "ESTIMATE",
-    "HEALTH",
-    "INFO",
-    "PARTICLES",
-    "SENSOR_POSE",
-    "TAXELS",
-    "TOPICS",
-]
 
 OTHER = "other"  # in `objects`: none of the known ones
 VERSION = 3  # version of the stream: `v` in every message
@@ -205,11 +182,11 @@ def _layout(layout: Layout) -> dict[str, Any]:
 def object_of(e: Mapping[str, Any]) -> str:
     """The name of the object that an estimate's map is of, with its probability where it might be
     another one; empty in the map of an older daemon."""
-    *likely, _ = e.get("objects", {OTHER: 1.0}).items()
-    if not likely:
+    likely = list(e.get("objects", {}).items())
+    if len(likely) < 2:  # `other` alone
         return ""
     name, p = likely[e["object"]]
-    return f"{name} {p:.1%}" if len(likely) > 1 else str(name)
+    return f"{name} {p:.1%}" if len(likely) > 2 else str(name)
 
 
 def name_of(kind: type[IntEnum], number: int) -> str:

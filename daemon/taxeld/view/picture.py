@@ -14,9 +14,9 @@ from taxeld.commands.status import estimate_rows
 from taxeld.model import se2
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
-from taxeld.stream import messages
+from taxeld.stream import topics
 
-DRAWN = messages.TAXELS, messages.ESTIMATE, messages.PARTICLES  # topics of a scan
+DRAWN = topics.TAXELS, topics.ESTIMATE, topics.PARTICLES  # topics of a scan
 TIME = "scan"  # the time line: Unix time of the measurement
 LINES = 5  # outlines of an object, from the lowest taxel to the highest
 TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii of points and lines
@@ -41,7 +41,7 @@ class Picture:
 
     def take(self, topic: bytes, m: dict[str, Any]) -> None:
         """Draw one of the streams' maps; those of other topics are left out."""
-        if topic == messages.INFO and m != self._info:  # it comes again for each new subscriber
+        if topic == topics.INFO and m != self._info:  # it comes again for each new subscriber
             self._set(m)
         elif self._info and topic in DRAWN and m["t"]:  # a time of 0: nothing was measured yet
             self.stream.set_time(TIME, timestamp=m["t"])

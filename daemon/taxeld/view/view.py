@@ -16,7 +16,7 @@ from taxeld.commands.replay import Replay
 from taxeld.commands.running import Message
 from taxeld.errors import SetupError, WorkError
 from taxeld.source import session
-from taxeld.stream import messages
+from taxeld.stream import messages, topics
 from taxeld.view.picture import DRAWN, Picture
 
 ANSWER_S = 5.0  # a running daemon has said who it is by then
@@ -61,8 +61,7 @@ def live(endpoint: str, ends: Ends) -> Iterator[Message]:
         WorkError: no daemon answers.
     """
     until_s = time.monotonic() + ANSWER_S
-    topics = [messages.INFO, *DRAWN]
-    with contextlib.closing(running.Subscriber(endpoint, topics)) as streams:
+    with contextlib.closing(running.Subscriber(endpoint, [topics.INFO, *DRAWN])) as streams:
         while not ends():
             for message in streams.wait(LOOK_S):
                 until_s = math.inf
@@ -81,18 +80,18 @@ def recorded(directory: Path) -> tuple[Picture, Iterator[Message]]:
     scenes = {name: each.model.scene for name, each in zip(replay.names, known, strict=True)}
 
     def heard() -> Iterator[Message]:
-        yield messages.INFO, messages.info(replay.layout, scenes, "")
+        yield topics.INFO, messages.info(replay.layout, scenes, "")
         next_s = 0.0  # the next cloud of particles is due at this time
         for seq, outcome in enumerate(replay):
             e, felt = outcome.estimate, outcome.activation
             if felt is not None and not outcome.link:
-                yield messages.TAXELS, messages.taxels(felt, outcome.sensor, seq)
+                yield topics.TAXELS, messages.taxels(felt, outcome.sensor, seq)
             if scenes:
                 why = replay.why(e)
-                yield messages.ESTIMATE, messages.estimate(e, names=replay.names, seq=seq, why=why)
+                yield topics.ESTIMATE, messages.estimate(e, names=replay.names, seq=seq, why=why)
             if scenes and e.contact and not e.t < next_s < e.t + 1.0:
                 next_s = e.t + PARTICLES_S
-                yield messages.PARTICLES, messages.particles(e.t, seq, *replay.belief)
+                yield topics.PARTICLES, messages.particles(e.t, seq, *replay.belief)
 
     return Picture(list(scenes.values()), session.truth(directory)), heard()
 

@@ -13,7 +13,7 @@ import zmq
 from taxeld.errors import SetupError
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
-from taxeld.stream import messages
+from taxeld.stream import topics
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort, CanPort, NativePort, Port, SlcanPort, is_heard
 from taxeld_hil.rig.rig import BEFORE_S, Rig
@@ -117,8 +117,8 @@ class Bench:
         wall, x, y, theta = row
         body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
         # a pose that nobody hears is not sent: who begins to listen now would hear it uncounted
-        if is_heard(self._poses, self._prefixes, messages.SENSOR_POSE):
-            frames = (messages.SENSOR_POSE, body, b"%.6f" % wall)
+        if is_heard(self._poses, self._prefixes, topics.SENSOR_POSE):
+            frames = (topics.SENSOR_POSE, body, b"%.6f" % wall)
             self._poses.send_multipart(frames, zmq.NOBLOCK)
             self.rig.ledger.poses_heard += 1
         self._recorder.pose(wall, x, y, theta)

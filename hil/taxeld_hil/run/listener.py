@@ -11,7 +11,7 @@ import zmq
 
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
-from taxeld.stream import messages
+from taxeld.stream import topics
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.run.contact_table import ContactTable
 
@@ -38,7 +38,7 @@ class Listener:
         self._say = say
         self._stream = socket(stack, context, zmq.SUB)
         self._stream.connect(endpoint)
-        for topic in (messages.ESTIMATE, messages.TAXELS, messages.HEALTH):
+        for topic in (topics.ESTIMATE, topics.TAXELS, topics.HEALTH):
             self._stream.setsockopt(zmq.SUBSCRIBE, topic)
 
     def wait(self, ms: int) -> None:
@@ -50,9 +50,9 @@ class Listener:
         while self._stream.poll(0):
             topic, body, _ = self._stream.recv_multipart()
             message = msgpack.unpackb(body)
-            if topic == messages.TAXELS:
+            if topic == topics.TAXELS:
                 self.table.on_taxels(message)
-            elif topic == messages.HEALTH:
+            elif topic == topics.HEALTH:
                 self.judge.on_health(t, message)
             elif time.time() < self._finished_wall:
                 self.begun |= message["t"] > 0.0
