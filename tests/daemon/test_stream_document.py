@@ -106,10 +106,3 @@ def test_the_documented_sensor_pose_is_taken() -> None:
     assert leaves(example) == keys
     pose = as_pose([topics.SENSOR_POSE, msgpack.packb(example), b"0.0"])
     assert pose == tuple(example[key] for key in ("t", "x", "y", "theta"))
-
-
-def test_a_map_without_one_of_its_keys_or_with_another_is_found() -> None:
-    keys, example = documented("/taxeld/estimate")
-    example["map"].pop("x")
-    assert leaves(example) != keys
-    assert leaves({"a": [{"b": 1}], "c": {"3": "x"}}) == {"a[].b": "int", "c.*": "str"}

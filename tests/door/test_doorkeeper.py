@@ -19,7 +19,6 @@ from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream import link
 
 from ..rig.clocks import PATIENCE_S, until
-from ..rig.processes import python
 from .stand import INFO, Stand
 
 
@@ -221,17 +220,3 @@ def test_a_door_that_is_starting_ends_before_the_loop_where_memory_is_short_and_
     finally:
         assert keeper._newest is not None
         keeper._newest.kill()
-
-
-GREEDY = """
-from taxeld.door import settings
-settings.limit()
-try:
-    held = [bytearray(1 << 20) for _ in range(4096)]
-except MemoryError:
-    print("no more", end="")
-"""
-
-
-def test_a_greedy_door_gets_no_more_memory_than_its_limit() -> None:
-    assert python(GREEDY).stdout == "no more"
