@@ -12,7 +12,7 @@ from taxeld.model.response import GRID, Inverse, response
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.pipeline.stage import calibrated
 from taxeld.skin.skin import Skin
-from tests.rig.simulated_skin import SimulatedSkin, begun
+from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.skins import calibration_of
 from tests.rig.stream_page import documented
 
@@ -28,12 +28,6 @@ def test_a_reading_becomes_the_depth_that_was_pressed(skin: Layout, depth: float
     rising = shape > 0.1  # an onset that falls below is none of a real taxel
     simulated.press = c.full_scale_counts * c.gain * shape
     assert simulated.run(subject, 0.05).z[rising] == pytest.approx(depth, abs=0.03)
-
-
-def test_without_a_calibration_a_reading_is_a_share_of_full_scale(skin: Layout) -> None:
-    simulated, subject = begun(skin, 3.0, noise=0.0)
-    simulated.press = np.full(len(skin), 7000.0)
-    assert simulated.run(subject, 0.05).z == pytest.approx(0.35, abs=1e-3)
 
 
 @pytest.mark.parametrize("bend", [-0.3, 0.0, 0.1])

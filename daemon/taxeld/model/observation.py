@@ -12,7 +12,7 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses, Reals
 from taxeld.layout.layout import Layout
-from taxeld.model.contacts import axis_in_object
+from taxeld.model import se2
 from taxeld.model.leak import Leak
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.scene import Scene
@@ -127,14 +127,15 @@ class ObservationModel:
     def pressed(self, poses: Floats) -> tuple[Index, Grid]:
         """The taxels pressed by the object at poses (N, 3) in the sensor frame: flat indices (P,)
         into (N, M), and their h > 0 (P,)."""
-        near = self._near(*axis_in_object(poses), -poses[:, 2], 0)
+        near = self._near(se2.inverse(poses), 0)
         return near.row * len(self.layout) + near.taxel, np.minimum(near.depth, 1.0)
 
     def pressed_from(self, sensors: Floats, poses: Floats, about: int = 0) -> Nearby:
         """The taxels pressed at sensor poses (K, 3) by objects (N, 3), both in the world; rows
         index (K · N). For the first `about` sensors also the taxels within BAND_M of being
         pressed."""
-        return self._near(*_in_object(sensors, poses), about * len(poses))
+        seen = se2.compose(se2.inverse(poses), sensors[:, None])
+        return self._near(seen.reshape(-1, 3), about * len(poses))
 
     def activation(self, poses: Floats) -> Floats:
         """h: poses (N, 3) of the object in the sensor frame → (N, M) in 0..1."""
@@ -143,11 +144,10 @@ class ObservationModel:
         h.flat[at] = values
         return h
 
-    def _near(self, x: Floats, y: Floats, turn: Floats, about: int) -> Nearby:
-        """`pressed_from` for sensors at (x, y) in the object's frame, turned by `turn`, each (N,);
-        for the first `about` also the taxels near a press."""
-        scene = self.scene
-        x, y = (x - scene.origin[0]) / scene.cell, (y - scene.origin[1]) / scene.cell
+    def _near(self, sensors: Poses, about: int) -> Nearby:
+        """`pressed_from` for sensors (N, 3) in the object's frame; for the first `about` also the
+        taxels near a press."""
+        (x, y), turn = ((sensors[:, :2] - self.scene.origin) / self.scene.cell).T, sensors[:, 2]
         reached = np.flatnonzero(self.grid.reach.take(self._cell(x, y)))
         size = max(BLOCK // len(self.grid.taxel), 1)
         blocks = [
@@ -212,15 +212,6 @@ class ObservationModel:
         ux, uy = (side.take(kept // most).astype(np.float32) for side in (ux, uy))
         along = np.abs(gy * ux - gx * uy) / np.sqrt(ux * ux + uy * uy)
         return Nearby(row, taxel, depth, gx, gy, along)
-
-
-def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
-    """Sensors (K, 3) as seen from objects (N, 3), both in the world: x, y and turn, (K · N,)
-    each."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = sensors[:, :1] - poses[:, 0], sensors[:, 1:2] - poses[:, 1]
-    turn = sensors[:, 2:] - poses[:, 2]
-    return (c * x + s * y).ravel(), (c * y - s * x).ravel(), turn.ravel()
 
 
 def _touched(silhouette: Grid, band_m: float) -> Bools:

@@ -85,7 +85,6 @@ class SkinFit:
             sd = np.stack([calibration.gain_sd, calibration.onset_sd])
         sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * SAG_SD * ones])
         self.lessons = 0  # lessons that were kept
-        self.refused = 0
         self._noise, self._usual = noise, np.median(sd**2, axis=1)
         self.restore(np.vstack([gain, onset, np.log(SAG_M) * ones, sd]))
 
@@ -126,7 +125,6 @@ class SkinFit:
             kept = trial.log_density(seen) > self.fit.log_density(seen)
             self.fit = trial if kept else self.fit
             self.lessons += kept
-            self.refused += not kept
         self._trial = self.fit.learned(seen)
         return kept
 
