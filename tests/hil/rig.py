@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -38,19 +39,23 @@ GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # turns between stretches of skin: even at 
 def passing(subject: Scenario, place: Path | None = None, luck: tuple[str, ...] = ()) -> FakeRun:
     """A run on the fake clock that passes, but for checks left to `luck`; its session in `place`.
 
-    Chance decides which frames a fault hits and what few touches tell, so one of five runs must
-    pass. In each of them nothing is lost without being counted.
+    Chance decides which frames a fault hits and what few touches tell: where the first run fails,
+    three of five must pass. In each of them nothing is lost without being counted.
     """
-    for seed in range(5):
+    failures = list[list[str]]()
+    for seed in count():
         if place is not None:
             shutil.rmtree(place, ignore_errors=True)
         run = FakeRun(subject, seed, rate_hz=40.0)
         grade = run.graded("any", place)
         assert all(law["holds"] for law in grade.figures["laws"])
         failed = [f"{c.name}: {c.detail}" for c in grade.checks if c.passed is False]
-        if all(each.startswith(luck) for each in failed):
+        if not all(each.startswith(luck) for each in failed):
+            failures.append(failed)
+        elif not failures or seed == len(failures) + 2:
             return run
-    raise AssertionError(failed)
+        assert len(failures) < 3, failures
+    raise AssertionError
 
 
 @dataclass(frozen=True)
