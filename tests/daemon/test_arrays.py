@@ -58,7 +58,7 @@ def test_the_box_is_found_by_arrays_and_again_in_the_replay(tmp_path: Path, key:
                 return False
             e = msgpack.unpackb(socket.recv_multipart()[1])
             near = abs(e["map"]["x"] - TRUTH[0]) + abs(e["map"]["y"] - TRUTH[1]) < 0.01
-            return e["valid"] and near and e["status"] == Status.CONVERGED
+            return near and e["status"] == Status.CONVERGED and e["contacts"] >= 8
 
         until(found)
         daemon.terminate()

@@ -219,6 +219,8 @@ class Disk:
         monkeypatch.setattr(recorders, "FileIO", self._file)
 
     def _file(self, path: Path, mode: str) -> "File":
+        if not self.free:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return File(path, mode, self)
 
 
@@ -239,7 +241,7 @@ class File(recorders.FileIO):
 def test_a_full_disk_is_waited_for_and_costs_nothing_once_it_has_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    disk = Disk(monkeypatch)
+    disk, pose = Disk(monkeypatch), (1.0, 0.1, 0.2, 0.3)
     caplog.set_level(logging.WARNING)
     with Recorder(tmp_path / "s", moves=False) as recorder:
         recorder.take(frame(0))
@@ -251,12 +253,17 @@ def test_a_full_disk_is_waited_for_and_costs_nothing_once_it_has_room(
         recorder.take(frame(6))
         disk.free = 10**9
         until(lambda: recorder.counters.frames == 7)
+        disk.free = 0
+        recorder.pose(*pose)  # needs a new file
+        until(lambda: len(caplog.messages) == 3 or recorder.counters.failed)
+        disk.free = 10**9
+        until(lambda: recorder.counters.poses == 1 or recorder.counters.failed)
     assert recorder.counters.dropped == 0
-    assert caplog.messages == [
+    assert caplog.messages == 2 * [
         f"{tmp_path}/s: the recording waits (No space left on device)",
         f"{tmp_path}/s: the recording goes on",
     ]
-    assert read(tmp_path / "s") == ([frame(number) for number in range(7)], [])
+    assert read(tmp_path / "s") == ([frame(number) for number in range(7)], [pose])
 
 
 def test_a_disk_that_stays_full_ends_the_recording_with_its_last_whole_record(

@@ -211,9 +211,7 @@ class Recorder:
     def _append(self, name: str, data: bytes | bytearray) -> None:
         """Append all of the data, after the header in a new file. Raises OSError."""
         if name not in self._open:
-            self._directory.mkdir(parents=True, exist_ok=True)
-            # "x" opens with O_EXCL, which follows no link
-            self._open[name] = FileIO(self._directory / name, "x")
+            self._open[name] = self._made(name)
             data = self._headers.get(name, "").encode() + data
         rest = memoryview(data)
         while rest:  # a nearly full disk takes a part, and then refuses the rest
@@ -224,6 +222,15 @@ class Recorder:
         if self._is_full:
             log.warning("%s: the recording goes on", self._directory)
         self._is_full = False
+
+    def _made(self, name: str) -> FileIO:
+        """A new file, once the disk has room for it. Raises OSError."""
+        while True:
+            try:
+                self._directory.mkdir(parents=True, exist_ok=True)
+                return FileIO(self._directory / name, "x")  # O_EXCL, which follows no link
+            except OSError as error:
+                self._wait(error)
 
     def _wait(self, error: OSError) -> None:
         """Wait a moment for a disk whose fault may pass. Raises the error where it may not, or when
@@ -261,7 +268,7 @@ def _kept(config: Path | None, calibration: Path | None) -> dict[str, bytes]:
         if calibration and is_beside and calibration.is_file():
             kept.setdefault(calibration.name, calibration.read_bytes())
     except OSError as error:
-        raise SetupError(f"{error.filename}: cannot be read ({error.strerror})") from None
+        raise SetupError(f"{error.filename or config}: cannot be read ({error.strerror})") from None
     return kept
 
 
