@@ -70,15 +70,6 @@ def test_frames_are_changed_during_a_fault_alone_and_each_change_is_counted(kind
     assert [out for unit in sent for out in subject.unit(unit, 2.0)] == sent
 
 
-def test_the_same_seed_hits_the_same_frames() -> None:
-    fault = Fault("dropped", at_s=0.0, for_s=9.0, share=0.5)
-    hit = []
-    for seed in (1, 1, 2):
-        subject, _ = injector(fault, seed=seed)
-        hit.append([bool(subject.unit(unit, 1.0)) for unit in units(30)])
-    assert hit[0] == hit[1] != hit[2]
-
-
 def test_counts_of_the_named_taxels_change_and_no_others() -> None:
     counts = [10, 20, 30, 40, 50, 60]
     for fault, expected in (

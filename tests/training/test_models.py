@@ -18,10 +18,10 @@ from taxeld_training.models import variants
 from taxeld_training.models.base import NetworkConfig
 from taxeld_training.models.dataset import SimulatedTouches, simulate
 from taxeld_training.models.density import BINS, ContactDensity
-from taxeld_training.models.export import export, flops, rounded
+from taxeld_training.models.export import export, rounded
 from taxeld_training.models.frames import ContactFrame
 from taxeld_training.models.variants import Variant
-from taxeld_training.models.views import Plain, best
+from taxeld_training.models.views import best
 
 TRAINING = variants.density(8).training
 FEW = NetworkConfig(8, 16, steps=8)  # T: the unrolled graph of a hundred is slow to export
@@ -139,10 +139,3 @@ def test_the_density_integrates_to_one(ring_model: ObservationModel) -> None:
     cell = (2 * half / (side - 1)) ** 2
     # the Gaussians' constant, which training does not need
     assert float(log_each.exp().sum()) * cell / (2 * np.pi) == pytest.approx(1.0, abs=0.02)
-
-
-def test_operations_grow_with_steps_and_samples(ring_model: ObservationModel) -> None:
-    view, frame = Plain(ring_model.layout), ContactFrame(ring_model)
-    net = ContactDensity(NetworkConfig(8, 16, encoder_depth=2), view, frame)
-    assert flops(net, 200) - flops(net, 100) == 100 * 2 * net.multiply_adds_each
-    assert flops(net, 0) == 2 * (64 * 16 + 16 * 16 + 16 * BINS + 16 * 16)

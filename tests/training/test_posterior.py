@@ -135,16 +135,6 @@ def test_a_layout_without_symmetry_needs_no_turn(ring_model: ObservationModel) -
     assert np.abs(one_row.activation(draws.pose) - h).max(axis=1).mean() < 0.4
 
 
-def test_energy_distance_is_zero_only_for_equal_distributions() -> None:
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(0, 0.01, (2, 400, 3))
-    near, far = energy_distance(a, b, 0.05), energy_distance(a, b + np.array([0.05, 0, 0]), 0.05)
-    assert near < 0.01
-    assert far > 1.0
-    turned = energy_distance(a, b + np.array([0, 0, np.pi]), 0.05)
-    assert turned > 3.0
-
-
 def test_the_distance_of_few_samples_of_one_distribution_is_zero_on_average() -> None:
     rng = np.random.default_rng(0)
     drawn = rng.normal(0, 0.02, (400, 2, 20, 3))
