@@ -1,4 +1,4 @@
-"""Daemons on a fake clock with drawn faults; more seeds: benchmarks/simulation.py."""
+"""Daemons on a fake clock with drawn faults; TAXELD_TEST_SEED draws others."""
 
 from pathlib import Path
 

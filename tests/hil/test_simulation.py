@@ -16,7 +16,6 @@ from taxeld_hil.scenario.scenario import Fault, Scenario
 from taxeld_hil.world import robot
 from taxeld_hil.world.physics import ScenePhysics
 from taxeld_hil.world.robot import RobotPath
-from taxeld_hil.world.soft_skin import ThermalDrift
 from taxeld_hil.world.world import load_model, make_world
 from taxeld_protocol.modules import wired
 from tests.hil.rig import DEMO, MODEL, MODULES, SKIN

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from taxeld.commands.replay import Replay
@@ -12,7 +11,6 @@ from taxeld.pipeline.freshness import Why
 from taxeld.proposals import bundle
 from taxeld_hil.grade.grade import Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
-from taxeld_hil.run.contact_table import ContactTable
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 
@@ -65,30 +63,6 @@ def test_another_object_takes_the_place_of_its_like_among_those_that_are_known()
     assert demo.touching("drill").known == ("drill",)
     assert WHICH.touching("mug").known == WHICH.bundles
     assert replace(WHICH, bundles=("box", "mug")).touching("drill").known == ("box", "mug", "drill")
-
-
-def test_a_line_of_the_table_says_which_object_it_is() -> None:
-    table, pose = ContactTable(MODEL.scene, PLACED), dict.fromkeys(("x", "y", "theta"), 0.0)
-    known = {"box": 0.01, "mug": 0.98, "other": 0.01}
-    for contact in (True, False):
-        line = table.on_estimate(
-            {
-                "contact": contact,
-                "contacts": 1,
-                "status": 2,
-                "modes": [],
-                "p": 0.9,
-                "radius_m": 0.01,
-                "map": pose,
-                "valid": True,
-                "lat_us": {"skin": 0.0},
-                "object": 1,
-                "objects": known,
-            }
-        )
-    assert line is not None
-    assert line.endswith("  mug 98.0%")
-    assert np.isfinite(table.error_mm())
 
 
 def test_names_of_a_scenarios_bundles_are_those_of_the_messages() -> None:

@@ -34,8 +34,3 @@ def test_the_pictures_of_the_results_are_small_and_drawn_again_with_the_same_byt
     assert data.startswith(b"\x89PNG\r\n\x1a\n")
     assert 5_000 < len(data) < 300_000
     assert data == (tmp_path / "b.png").read_bytes()
-
-
-def test_samplers_of_one_picture_differ_in_colour_and_not_only_in_their_markers() -> None:
-    found = charts.styles(["projection", "manifold", "table", "paper", "density"])
-    assert len({colour for colour, _ in found.values()}) == len(found) == 5

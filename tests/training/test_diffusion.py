@@ -5,7 +5,7 @@ from torch import Tensor
 
 from taxeld.layout import read as layouts
 from taxeld_training.models.base import NetworkConfig
-from taxeld_training.models.diffusion import Denoiser, DiffusionSampler, cosine_alpha_bar
+from taxeld_training.models.diffusion import Denoiser, DiffusionSampler
 from taxeld_training.models.frames import PoseFrame
 from taxeld_training.models.views import Plain
 
@@ -44,11 +44,3 @@ def test_the_sampler_draws_the_gaussian_of_its_denoiser() -> None:
         drawn = sampler(torch.zeros(1, 4), torch.ones(1, 4), noise)
     assert torch.allclose(drawn.mean(0), torch.full((4,), 0.5), atol=0.01)
     assert torch.allclose(drawn.std(0), torch.full((4,), 0.3), atol=0.02)
-
-
-def test_the_noise_schedule_falls_from_all_signal_to_none() -> None:
-    alpha_bar = cosine_alpha_bar(STEPS)
-    assert len(alpha_bar) == STEPS
-    assert (alpha_bar.diff() < 0).all()
-    assert alpha_bar[0] > 0.99
-    assert alpha_bar[-1] < 1e-4

@@ -50,15 +50,6 @@ def test_a_pose_presses_as_deep_as_its_depth_coordinate(ring_model: ObservationM
     assert np.abs(gap + 0.003).max() < 2e-4
 
 
-def test_s_is_periodic_and_depth_stays_in_range(ring_model: ObservationModel) -> None:
-    frame = ContactFrame(ring_model)
-    s, phi = torch.tensor([0.3, 1.3, -0.7, 1.0, 0.0]), torch.zeros(5)
-    made = frame.pose(s, phi, torch.tensor([0.002] * 3 + [-1.0, 0.0]))
-    assert torch.allclose(made[0], made[1], atol=1e-5)
-    assert torch.allclose(made[0], made[2], atol=1e-5)
-    assert torch.allclose(made[3], made[4], atol=1e-5)
-
-
 def test_the_direction_is_where_the_skin_is_pressed(
     ring_model: ObservationModel, touches: SimulatedTouches
 ) -> None:

@@ -81,17 +81,6 @@ def test_the_first_cells_tile_all_contacts_once(model: ObservationModel) -> None
     assert away.max() < 1.3 * half
 
 
-def test_halves_fill_their_cell(model: ObservationModel) -> None:
-    cells = tile(model)
-    cells = cells[np.arange(len(cells)) < 40]
-    cells.information[:] = situation(0).random((40, 3))
-    halves = cells.halved()
-    assert np.allclose(0.5 * (halves.mid[:40] + halves.mid[40:]), cells.mid)
-    volume = np.exp(halves.log_effective_volume)
-    cells.information[:] = 0.0
-    assert np.allclose(volume[:40] + volume[40:], np.exp(cells.log_effective_volume))
-
-
 @pytest.mark.parametrize("scale", [0.0, 1.0])
 def test_a_small_cell_has_the_likelihood_that_the_filters_memory_has(
     model: ObservationModel, scale: float
