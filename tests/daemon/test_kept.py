@@ -23,7 +23,7 @@ from taxeld.config.tables import SkinConfig
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.evidence import MOVED
-from taxeld.estimator.scans import ScanEvidence, Used, scan_arrays, scans_of
+from taxeld.estimator.scans import ScanEvidence, scan_arrays, scans_of
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.noise import Noise
@@ -59,9 +59,6 @@ class Run:
     @property
     def stepped_s(self) -> float:
         return time.time() - self.skin._t
-
-    def restore(self, scans: list[Used]) -> None:
-        self.estimator.learn(scans, moved=True)
 
     def end(self) -> None:
         self.store.close()

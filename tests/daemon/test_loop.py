@@ -30,14 +30,7 @@ from taxeld_protocol.decoder import Scan
 from tests.rig.clocks import until
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.sockets import Sockets
-
-EVERY_KEY = [
-    *("v", "seq", "t", "mono_ns", "valid", "why", "status"),
-    *("p", "radius_m", "hypotheses"),
-    *("object", "objects", "contact", "contacts", "map", "mean", "cov"),
-    *("modes", "ess", "particles", "injected", "proposal", "log_evidence", "age_us", "overruns"),
-    *("degraded", "lat_us"),
-]
+from tests.rig.stream_page import documented
 
 
 @pytest.fixture
@@ -70,7 +63,7 @@ def test_subscribers_hear_what_plotjuggler_plots_and_clients_are_answered(
         assert msgpack.unpackb(asked.recv()) == {"ok": True}
     assert topic == b"/taxeld/estimate"
     message = msgpack.unpackb(body)
-    assert list(message) == EVERY_KEY
+    assert message.keys() == documented("/taxeld/estimate")[1].keys()
     assert plain(message)
     assert float(stamp) >= 0.0
     assert stamp.decode().split(".")[1].isdigit()
@@ -93,7 +86,8 @@ def test_a_daemon_starts_without_a_kept_file_that_is_damaged(
     daemon = Daemon(parse(settings(tmp_path) + f'[skin]\nstate_dir = "{tmp_path}"\n'))
     with contextlib.closing(daemon):
         daemon.tick(time.monotonic())
-    assert caplog.messages == [f"{tmp_path}/kept.npz: not used, it is damaged"]
+    lines = [line for line in caplog.messages if "kept.npz" in line]
+    assert lines == [f"{tmp_path}/kept.npz: not used, it is damaged"]
 
 
 class Heard(list[tuple[bytes, dict[str, Any]]]):
@@ -130,28 +124,6 @@ def test_without_scans_estimates_come_at_their_own_rate_and_with_each_change(
     daemon.pipeline.freshness.came(now + 1.0)
     daemon.tick(now + 1.0001)
     assert heard.of(topics.ESTIMATE)[-1]["status"] == Status.STARTING
-
-
-def test_each_scan_that_is_used_has_its_estimate_however_many_come_at_once(
-    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    heard, skin = Heard(daemon, monkeypatch), SimulatedSkin(daemon.layouts[0], noise=5.0)
-    skin.t = time.time() - 2.0
-    scans = [skin.scan() for _ in range(35)]
-    arrived = skin.t
-    batches = [*([scan] for scan in scans[:25]), scans[25:32], [], scans[32:]]
-    now = time.monotonic()
-    for k, batch in enumerate(batches):
-        monkeypatch.setattr(daemon.inputs.sources[0], "poll", lambda *_, batch=batch, **__: batch)
-        arrived = batch[-1].t if batch else arrived
-        monkeypatch.setattr(time, "time", lambda arrived=arrived: arrived)
-        daemon.tick(now + 0.001 * k)
-    monkeypatch.undo()
-    used = [e for e in heard.of(topics.ESTIMATE) if e["status"] == Status.SEARCHING]
-    assert [e["t"] for e in used] == [scan.t for scan in scans[-len(used) :]]
-    assert len(used) >= 14
-    assert all(e["lat_us"]["skin"] > 0.0 for e in used)
-    assert [e["seq"] for e in used] == [t["seq"] for t in heard.of(topics.TAXELS)][-len(used) :]
 
 
 class Touches:
@@ -239,32 +211,6 @@ def test_no_second_opinion_is_taken_while_a_scan_waits(touches: Touches) -> None
     pipeline.stages[0].waiting.clear()
     touches.tick([], Ready())
     assert pipeline.estimator.counters.thoughts == thoughts + 1
-
-
-def test_all_scans_that_have_come_are_worked_on_to_their_end_before_the_next_wait(
-    touches: Touches, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    daemon, due = touches.daemon, [1, 1, 3, 0, 2, 1]
-    scans = [
-        [touches.next() for _ in range(35)],
-        *([touches.next() for _ in range(k)] for k in due),
-    ]
-    taken = list[float]()
-
-    def wait(*_: object) -> Ready:
-        sent = {e["t"] for e in touches.heard.of(topics.ESTIMATE)}
-        assert sent.issuperset(taken)
-        if not scans:
-            daemon.stop()
-            return Ready()
-        touches.scans = scans.pop(0)
-        taken.extend(scan.t for scan in touches.scans[-3:])
-        return Ready(device=bool(touches.scans))
-
-    monkeypatch.setattr(loop, "wait", wait)
-    monkeypatch.setattr(daemon.inputs.sources[0], "gather", lambda: 1)
-    daemon._loop(Notifier({}), lambda: None)
-    assert len(taken) == 3 + sum(due)
 
 
 @pytest.mark.parametrize(

@@ -107,62 +107,53 @@ def test_a_scan_of_another_time_makes_the_estimate_stale_until_the_next(
     assert taken.estimate.status is Status.SEARCHING
 
 
-def test_a_scan_waits_for_the_pose_at_its_time(box: Bundle) -> None:
-    pipeline, skin = begun(box)
-    scan = skin.scan()
-    pipeline.poses.add(scan.t - 0.01, 0.30, 0.0, 0.0)
-    assert list(pipeline.advance([scan], scan.t + 0.001)) == []
-    assert list(pipeline.advance([], scan.t + 0.01)) == []
-    pipeline.poses.add(scan.t + 0.01, 0.31, 0.0, 0.0)
-    (outcome,) = pipeline.advance([], scan.t + 0.012)
-    assert outcome.sensor == pytest.approx([0.305, 0.0, 0.0])
-    assert pipeline.inputs.scans_waited == 1
-
-
-@pytest.mark.parametrize(("pose_age_s", "status"), [(0.15, Status.SEARCHING), (0.25, Status.STALE)])
-def test_a_scan_does_not_wait_for_its_pose_for_ever(
-    box: Bundle, pose_age_s: float, status: Status
-) -> None:
-    """Then the newest pose is used if it is young enough."""
-    pipeline, skin = begun(box)
-    skin.t += 1.0
-    scan = skin.scan()
-    pipeline.poses.add(scan.t - pose_age_s, 0.31, 0.0, 0.0)
-    assert list(pipeline.advance([scan], scan.t)) == []
-    assert list(pipeline.advance([], scan.t + 0.019)) == []
-    (outcome,) = pipeline.advance([], scan.t + 0.021)
-    assert outcome.estimate.status is status
-    assert pipeline.inputs.scans_without_pose == (status is Status.STALE)
-
-
-def test_a_scan_a_little_after_the_last_pose_is_placed_by_its_speed(box: Bundle) -> None:
-    pipeline, skin = begun(box, ROBOT, EXTRAPOLATE_S)
-    scan = skin.scan()
-    pipeline.poses.add(scan.t - 0.028, 0.29, 0.0, 3.13)
-    pipeline.poses.add(scan.t - 0.018, 0.30, 0.0, 3.14)
-    pipeline.poses.add(scan.t - 0.008, 0.31, 0.0, -3.13)
-    (outcome,) = pipeline.advance([scan], scan.t + 0.001)
-    turned = 2.0 * np.pi - 6.27  # from one to the other, the short way
-    assert outcome.sensor == pytest.approx([0.318, 0.0, -3.13 + 0.8 * turned])
-    assert pipeline.inputs.scans_waited == 0
-
-
 @pytest.mark.parametrize(
-    ("before_s", "last_s"),
-    [(0.005, 0.003), (0.5, 0.021), (0.10, 0.09)],
-    ids=["two of its periods", "as configured", "though a scan's age is no more than poses' limit"],
+    ("poses", "comes", "x"),
+    [
+        ([(-0.030, 0.30)], (0.03, 0.31), 0.305),
+        ([(-0.150, 0.31)], None, 0.31),
+        ([(-0.250, 0.31)], None, None),
+        ([(-0.018, 0.30), (-0.008, 0.31)], (), 0.318),
+        ([(-0.012, 0.30), (-0.002, 2.31)], (), 2.31),
+        ([(-0.005, 0.30), (-0.0049, 0.31)], (0.0, 0.32), 0.32),
+        ([(-0.500, 0.30), (-0.021, 0.31)], (0.0, 0.32), 0.32),
+        ([(-0.100, 0.30), (-0.090, 0.31)], (0.0, 0.32), 0.32),
+    ],
+    ids=[
+        "between two",
+        "the last is young enough",
+        "the last is too old",
+        "a little after the last",
+        "a jump is not gone on from",
+        "farther after it than two periods",
+        "farther after it than is configured",
+        "though its age is no more than the limit",
+    ],
 )
-def test_farther_from_the_last_pose_it_waits(box: Bundle, before_s: float, last_s: float) -> None:
+def test_a_scan_is_placed_by_the_poses_about_it_or_waits_for_one(
+    box: Bundle,
+    poses: list[tuple[float, float]],
+    comes: tuple[float, float] | tuple[()] | None,
+    x: float | None,
+) -> None:
+    """`poses`: times from the scan and x. `comes`: the next; (): none is waited for."""
     pipeline, skin = begun(box, ROBOT, EXTRAPOLATE_S)
     skin.t += 1.0
     scan = skin.scan()
-    pipeline.poses.add(scan.t - before_s - 0.002, 0.30, 0.0, 0.0)
-    pipeline.poses.add(scan.t - before_s, 0.30, 0.0, 0.0)
-    pipeline.poses.add(scan.t - last_s - 0.002 * (last_s < before_s), 0.31, 0.0, 0.0)
-    assert list(pipeline.advance([scan], scan.t + 0.001)) == []
-    assert pipeline.inputs.scans_waited == 1
-    pipeline.poses.add(scan.t + 0.001, 0.32, 0.0, 0.0)
-    assert len(list(pipeline.advance([], scan.t + 0.002))) == 1
+    for t, at in poses:
+        pipeline.poses.add(scan.t + t, at, 0.0, 0.0)
+    found = list(pipeline.advance([scan], scan.t + 0.001))
+    assert len(found) == (comes == ()) == 1 - pipeline.inputs.scans_waited
+    found += pipeline.advance([], scan.t + 0.019)
+    assert len(found) == (comes == ())
+    if comes:
+        pipeline.poses.add(scan.t + comes[0], comes[1], 0.0, 0.0)
+        found += pipeline.advance([], scan.t + 0.0195)
+    found += pipeline.advance([], scan.t + 0.022)
+    (outcome,) = found
+    assert pipeline.inputs.scans_without_pose == (x is None)
+    assert outcome.estimate.status is (Status.STALE if x is None else Status.SEARCHING)
+    assert outcome.sensor is None or outcome.sensor == pytest.approx([x, 0.0, 0.0])
 
 
 def test_scans_keep_their_order_and_what_waits_is_bounded(box: Bundle) -> None:

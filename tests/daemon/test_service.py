@@ -1,7 +1,5 @@
 """A daemon on a serial skin that is restarted under a touch, and whose clock somebody sets."""
 
-import os
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,16 +11,13 @@ import msgpack
 import numpy as np
 import pytest
 
-from taxeld.commands import replay
 from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
-from taxeld.service.clock import WallClock
 from taxeld.service.loop import Daemon
 from taxeld.source.recorder import Recorder
 from taxeld.stream import topics
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.configurations import Table, config, served
-from tests.rig.processes import door_of
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.sockets import Sockets
 from tests.rig.virtual_hub import VirtualHub
@@ -90,21 +85,6 @@ def test_a_skin_that_starts_with_the_vendors_pauses_is_not_warned_of(
     assert [line for line in caplog.messages if line.startswith("status: ")] == []
 
 
-def test_doors_that_are_killed_cost_no_scan_and_no_record(tmp_path: Path, hub: Hub) -> None:
-    daemon = daemon_of(tmp_path, Recorder(tmp_path / "session", moves=False))
-    scans = daemon.pipeline.skin.counters
-    for starts in (1, 2, 3):
-        tick(daemon, hub, lambda: daemon.link.is_ready and door_of(os.getpid()) > 0)
-        os.kill(door_of(os.getpid()), signal.SIGKILL)
-        tick(daemon, hub, lambda starts=starts: daemon.door.starts > starts)
-    tick(daemon, hub, lambda: hub.scans > 20)
-    until(lambda: scans.scans == hub.scans, lambda: daemon.tick(time.monotonic()))
-    settings = daemon.config
-    daemon.close()
-    pipeline = replay.open_pipeline(tmp_path / "session", settings)
-    assert len(list(replay.outcomes(tmp_path / "session", pipeline))) == hub.scans > 20
-
-
 def test_a_scan_is_estimated_when_it_comes_however_slow_the_ticks_are(
     tmp_path: Path, hub: Hub
 ) -> None:
@@ -133,23 +113,3 @@ def test_a_scan_is_estimated_when_it_comes_however_slow_the_ticks_are(
     gaps = [b["t"] - a["t"] for a, b in pairwise(heard)]
     assert min(gaps) >= 0.0
     assert sorted(gaps)[len(gaps) // 2] < 0.1, "each scan is stamped as it comes"
-
-
-@pytest.mark.parametrize("by", [3600.0, -3600.0])
-def test_a_clock_that_is_set_by_an_hour_leaves_the_daemon_at_work(
-    tmp_path: Path, hub: Hub, monkeypatch: pytest.MonkeyPatch, by: float
-) -> None:
-    real, offset = time.time, [0.0]
-    monkeypatch.setattr(time, "time", lambda: real() + offset[0])
-    daemon = daemon_of(tmp_path)
-    daemon.clock = WallClock(time.time)
-    pipeline = daemon.pipeline
-    tick(daemon, hub, lambda: pipeline.estimate.status is Status.SEARCHING)
-    offset[0] = by
-    taken = pipeline.estimator.counters.scans
-    tick(daemon, hub, lambda: pipeline.estimator.counters.scans >= taken + 20)
-    assert pipeline.estimate.status is Status.SEARCHING
-    assert abs(pipeline.estimate.t - time.time()) < PATIENCE_S
-    assert pipeline.inputs.clock_steps == 1
-    assert pipeline.inputs.scans_old + pipeline.inputs.scans_from_the_future <= 3
-    daemon.close()

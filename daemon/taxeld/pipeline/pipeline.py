@@ -18,7 +18,6 @@ from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.news import EstimatorCounters
-from taxeld.estimator.scans import Used
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Activation, ObservationModel
@@ -144,7 +143,8 @@ class Pipeline:
         if self._estimator is None:
             believed = replace(NOTHING, t=t, contact=self.is_touched)
         else:
-            believed = replace(self._estimator.estimate, t=t)
+            believed = self._estimator.estimate
+            believed = believed if believed.t == t else replace(believed, t=t)
         return self.freshness.judged(believed, now_s)
 
     @property
@@ -269,10 +269,6 @@ class Pipeline:
         self.samples.begin_anew()
         self._estimator.reset()
         return ""
-
-    def restore(self, scans: Sequence[Used]) -> None:
-        """Learn again from what an earlier daemon has felt."""
-        self.estimator.learn(scans, moved=True)
 
     def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
         """Take a prior of the objects numbered `of`, else of any; → why it cannot be taken, empty

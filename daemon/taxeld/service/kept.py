@@ -141,7 +141,7 @@ class Store:
         elif not -FUTURE_S <= age_s <= self._keep_s:
             why = f"it is {age_s:.0f} s old"
         else:
-            self._pipeline.restore(scans_of(stored))
+            self._pipeline.estimator.learn(scans_of(stored), moved=True)
             return
         _warn(self._path, f"{why}: the object is to be found again")
 
