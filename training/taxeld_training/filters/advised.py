@@ -4,7 +4,7 @@ All guides have the same object at the same place and the same first touch; an a
 nothing counts as a touch. The table proposes.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,7 @@ def advice_rows(options: Options) -> list[Path]:
     named = wanted(options)
     counts = {cell: count for cell, (_, count) in named.items()}
     done = cells.run(counts.items(), options, BLOCK)
-    rows = [_row(cell, named[cell][0], results.values()) for cell, results in done.items()]
+    rows = [_row(cell, named[cell][0], [*results.values()]) for cell, results in done.items()]
     return [write(options, "advice", rows)]
 
 
@@ -66,9 +66,8 @@ def wanted(options: Options) -> dict[Cell, tuple[str, int]]:
     return found
 
 
-def _row(cell: Cell, name: str, trials: Iterable[list[TouchResult]]) -> dict[str, Any]:
+def _row(cell: Cell, name: str, trials: Sequence[Sequence[TouchResult]]) -> dict[str, Any]:
     """Shares after each touch, and what an advice costs."""
-    trials = list(trials)
     row: dict[str, Any] = {"object": cell.setting.object, "cell": name, "guide": cell.guide}
     row |= claims(trials).by_touch()
     spent_ms = [touch.guide_ms for trial in trials for touch in trial if touch.guide_ms]

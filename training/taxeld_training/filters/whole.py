@@ -57,7 +57,7 @@ FILTERS = (
 
 def whole_rows(options: Options) -> list[Path]:
     """Rows {object, factor, level, proposal, injection, particles, particles_max, samples, ms,
-    idle_ms, found_and_sure, …}, a table of what each scene needs, and the chart.
+    idle_ms, found_and_sure, …}, and the chart.
 
     Raises:
         SetupError: no such object, group, layout or cell.
@@ -71,13 +71,12 @@ def whole_rows(options: Options) -> list[Path]:
     asked = levels.asked_for(options, LEVELS, usual)
     chosen = cells.chosen(FILTERS, options.groups)
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    scenes = [(level, name) for level in asked for name in level.objects or objects]
-    wanted: dict[tuple[Level, str], dict[Cell, int]] = {
-        (level, name): {_cell(method, level, name, options): count for method in chosen}
-        for level, name in scenes
+    wanted = {
+        (level, name): [_cell(method, level, name, options) for method in chosen]
+        for level in asked
+        for name in level.objects or objects
     }
-    counts = {cell: count for each in wanted.values() for cell, count in each.items()}
-    done = cells.run(counts.items(), options, BLOCK)
+    done = cells.run([(cell, count) for each in wanted.values() for cell in each], options, BLOCK)
     found: list[dict[str, Any]] = []
     for level in dict.fromkeys(level for level, _ in wanted):
         here = {
