@@ -113,17 +113,18 @@ def test_a_wide_belief_has_more_particles(box_model: ObservationModel) -> None:
     assert wide > 1.5 * rule._size(rule.belief)
 
 
+@pytest.mark.parametrize("all_dead", [True, False])
 def test_where_only_dead_taxels_would_feel_it_is_blind_until_a_scan_tells_more(
-    box_model: ObservationModel,
+    box_model: ObservationModel, *, all_dead: bool
 ) -> None:
     world, subject = settled(box_model)
     sensor = se2.compose(TRUTH, box_side(box_model, 0.2, 0.004))
     pressed = box_model.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0] > 0.0
-    scan = Activation(world.t + 1.0, np.zeros(32), ~pressed)
-    assert subject.on_scan(scan, sensor).status is Status.BLIND
+    scan = Activation(world.t + 1.0, np.zeros(32), ~(pressed | all_dead))
     # a scan that cannot be used, as the sensor jumps, says nothing new
-    scan, far = replace(scan, t=scan.t + 0.05), sensor + np.array([5.0, 0.0, 0.0])
-    assert subject.on_scan(scan, far).status is Status.BLIND
+    for t, far in ((0.0, 0.0), (0.05, 5.0), (0.1, 1e9), (0.15, 0.0)):
+        at = sensor + np.array([far, 0.0, 0.0])
+        assert subject.on_scan(replace(scan, t=scan.t + t), at).status is Status.BLIND
 
 
 def test_a_sensor_that_jumps_is_not_believed_until_it_stays(box_model: ObservationModel) -> None:

@@ -46,9 +46,9 @@ class Runs:
 
     def each(self, explained: Floats) -> Floats:
         """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""
-        touch, silence = np.hsplit(explained @ self.shares - self.usual, 2)
+        told, steps = explained @ self.shares - self.usual, len(self.begun)
         least = np.where(self.touched, LEAST, -np.inf)
-        met = np.logaddexp(touch, least) + silence
+        met = np.logaddexp(told[:, :steps], least) + told[:, steps:]
         return np.asarray(met[:, ::-1].cumsum(axis=1)[:, ::-1] + self.open)
 
     def support(self, explained: Floats) -> Floats:

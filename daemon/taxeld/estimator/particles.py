@@ -163,8 +163,8 @@ def rejuvenate(
     poses[:, 2] = se2.wrap(poses[:, 2])
     before, least = belief.remembered, np.log(rng.random(n))
     remembered = explain(poses)
-    now, then = np.split(support(np.concatenate([remembered, before])), 2)
-    taken = least < now - then
+    now = support(np.concatenate([remembered, before]))
+    taken = least < now[:n] - now[n:]
     if room is not None:
         taken &= room.lets(belief.pose, poses)
     belief.pose[taken] = poses[taken]
