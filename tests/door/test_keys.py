@@ -3,7 +3,9 @@
 import re
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +14,9 @@ import zmq
 from zmq.auth import create_certificates, load_certificate
 
 from taxeld.errors import SetupError
-from taxeld.stream import curve, topics
+from taxeld.stream import client, curve, topics
 
+from ..rig.clocks import PATIENCE_S
 from ..rig.processes import program, resident_bytes
 from . import attacks
 from .stand import ANYWHERE, Stand, pose, robots_endpoint
@@ -93,6 +96,18 @@ def test_only_the_holder_of_an_authorised_key_hears_or_asks_anything(
     keyed.received(asking)
     assert not unheard.poll(100)
     keyed.received(keyed.subscriber(b"/taxeld/e"))  # the socket file takes none
+
+
+def test_a_client_takes_its_keys_from_the_environment(
+    keyed: Keyed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(client.KEYS, str(tmp_path / "client"))
+    asked: list[Any] = []
+    ask = partial(client.ask, keyed.asked, "info", timeout_s=PATIENCE_S)
+    thread = threading.Thread(target=lambda: asked.append(ask()))
+    thread.start()
+    keyed.until(lambda: not thread.is_alive())
+    assert asked[0]["ok"]
 
 
 def test_newcomers_with_a_key_are_served_beside_a_flood_of_those_without_and_after_it(
