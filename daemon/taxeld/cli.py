@@ -283,7 +283,7 @@ COMMANDS: dict[Run, tuple[Argument, ...]] = {
         _given("--seed", "N", "in place of filter.seed", int),
     ),
     _decode: (
-        _given("log", "LOG", "a log of candump or of python-can, or a serial.bin", Path),
+        _given("log", "LOG", "a log of candump, or a serial.bin", Path),
         _given("--config", "CONFIG", "with source.modules; a session has its own", Path),
     ),
     _calibrate: (

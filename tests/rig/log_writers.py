@@ -1,6 +1,5 @@
 """A bus as a log of each kind that `taxeld decode` reads, and what it makes of them."""
 
-import gzip
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -60,12 +59,11 @@ def counts(scans: int = 6) -> list[list[list[int]]]:
 
 
 def candump_log(interface: str = "can0", end: str = "") -> Write:
-    """`candump -L`, or what `-l` writes; `end`: R and T of `-x`. Packed where the name says so."""
+    """`candump -L`, or what `-l` writes; `end`: R and T of `-x`."""
 
     def write(frames: list[Frame], path: Path) -> None:
         lines = [format_log_line(frame, interface) + end + "\n" for frame in frames]
-        with (gzip.open if path.suffix == ".gz" else open)(path, "wb") as file:
-            file.write("".join(lines).encode())
+        path.write_text("".join(lines), encoding="ascii")
 
     return write
 
@@ -89,9 +87,7 @@ WRITERS: dict[str, Write] = {  # by the name of a file
     "candump": candump_log(),
     "candump.log": candump_log(),
     "candump-x.log": candump_log(end=" R"),
-    **dict.fromkeys(
-        ("a.log", "a.asc", "a.ASC", "a.asc.gz", "a.blf", "a.csv", "a.db", "a.trc"), python_can
-    ),
+    "a.log": python_can,
 }
 
 

@@ -16,10 +16,7 @@ from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.modules import NAMES, Module
 
-KNOWN = (
-    "candump -l and -L, files that python-can reads by their ending "
-    f"({' '.join(logs.PYTHON_CAN)}), and serial.bin are read"
-)
+KNOWN = "candump -l and -L, and serial.bin are read"
 ONE = "keep those of the skin's, as by grep ' can0 ' LOG"
 HUBS_NAMED = 8  # in a line
 

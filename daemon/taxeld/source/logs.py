@@ -1,26 +1,21 @@
-"""A log as a file: CAN frames, or the bytes of a serial line (`serial.bin`) and their times.
+"""A log as a file: `candump -L` text, or the bytes of a serial line (`serial.bin`) and their times.
 
-`candump -L` text is read here, other formats of CAN logs by python-can. The reader here takes half
-of the time of python-can's, and a damaged line costs only itself. A log is read from its beginning
-each time, and is never held in memory. The times of `serial.bin` stand in `serial.csv` beside it.
+A damaged line costs only itself. A log is read from its beginning each time, and is never held in
+memory. The times of `serial.bin` stand in `serial.csv` beside it.
 """
 
-import logging
 import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BufferedIOBase
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 from taxeld.errors import SetupError, one_line
 from taxeld_protocol.frames import Chunk, Frame, parse_logged
 
-if TYPE_CHECKING:
-    import can
-
-PYTHON_CAN = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")  # endings; any other is candump text
+OTHERS = (".asc", ".blf", ".csv", ".db", ".gz", ".mf4", ".trc")  # formats that python-can knows
 LINE_MAX = 8192  # bytes; a CAN XL frame, the longest, has 4 150 in candump text
 SERIAL_ENDING = ".bin"
 BLOCK = 1 << 14  # bytes of a serial line: a block and its frames stay in a processor's cache
@@ -56,11 +51,13 @@ def read(path: Path, damage: Damage) -> Iterator[Logged]:
     """A log in its order. Bytes have time 0 where no file has times.
 
     Raises:
-        SetupError: it is unreadable, or python-can cannot read on.
+        SetupError: it is unreadable, or of another format.
     """
-    if _ending(path) in PYTHON_CAN:
-        yield from _by_python_can(path)
-        return
+    if path.suffix.lower() in OTHERS:
+        raise SetupError(
+            f"{path}: is no candump text; make it so with "
+            f"'python3 -m can.logconvert {path} {path.stem}.log'"
+        )
     read = _chunks if is_serial(path) else _candump
     try:
         with path.open("rb") as file:
@@ -82,11 +79,6 @@ def _lines(file: BufferedIOBase | BinaryIO) -> Iterator[tuple[int, str]]:
         yield number, line.decode("latin-1")  # any byte is a character
         while len(line) == LINE_MAX and line[-1:] != b"\n":
             line = file.readline(LINE_MAX)
-
-
-def _ending(path: Path) -> str:
-    """The ending of the log's name, without the `.gz` that python-can unpacks."""
-    return Path(path.stem if path.suffix.lower() == ".gz" else path).suffix.lower()
 
 
 def _candump(file: BinaryIO, _: Path, damage: Damage) -> Iterator[Logged]:
@@ -114,35 +106,6 @@ def _chunks(file: BinaryIO, path: Path, damage: Damage) -> Iterator[Logged]:
         link, t, at = link_next, t_next, offset
     for data in _blocks(file):
         yield link, Chunk(t, data)
-
-
-def _by_python_can(path: Path) -> Iterator[Logged]:
-    # python-can takes 0.1 s to import, and candump logs do without it
-    import can  # noqa: PLC0415
-
-    logging.getLogger("can").addHandler(logging.NullHandler())  # its errors are reported here
-    try:
-        with can.LogReader(path) as reader:
-            for message in reader:
-                channel = message.channel
-                yield "" if channel is None else str(channel), _frame(message)
-    except Exception as error:  # each of its readers raises exceptions of its own
-        reason = str(error) or type(error).__name__
-        raise SetupError(
-            f"{path}: python-can's reader of {_ending(path)} files stops here: {reason}; "
-            "repair the log, or write it again as candump -L text"
-        ) from None
-
-
-def _frame(message: "can.Message") -> Frame | None:
-    """None for a frame that carries nothing for a skin. Raises ValueError or TypeError."""
-    data = bytes(message.data)
-    if message.is_error_frame or message.is_remote_frame or message.is_fd or len(data) > 8:
-        return None
-    t, can_id = float(message.timestamp), int(message.arbitration_id)
-    if not math.isfinite(t) or not 0 <= can_id <= EXTENDED_MAX:
-        raise ValueError(f"a frame of id {can_id} at {t} s")
-    return Frame(t, can_id, data, bool(message.is_extended_id))
 
 
 def _blocks(file: BinaryIO, size: float = math.inf) -> Iterator[bytes]:
