@@ -36,7 +36,7 @@ from .c_side import (
     compile_c,
     size_t,
 )
-from .test_vectors import VECTORS, each, frames_of
+from .test_vectors import VECTORS
 
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 ROUNDS_OF_DAMAGE = 20_000
@@ -75,14 +75,6 @@ def cut(line: bytes, sizes: Sequence[int]) -> Iterator[bytes]:
         yield line[at : at + sizes[i % len(sizes)]]
         at += sizes[i % len(sizes)]
         i += 1
-
-
-def stated(case: Case) -> Received:
-    """What a vector says is received."""
-    packets = [
-        Packet(0.0, p["ihb"], p["command"], bytes.fromhex(p["payload"])) for p in case["delivered"]
-    ]
-    return packets, case["counters"], case["pending"]
 
 
 def test_mirrored_structs_have_their_size_in_c(c_side: CSide) -> None:
@@ -131,38 +123,6 @@ def test_both_sides_have_the_same_codes(enum: str, prefix: str, values: type[Int
     [body] = re.findall(rf"typedef enum {{([^}}]*)}} taxeld_{enum};", HEADER)
     codes = dict(re.findall(rf"\b{prefix}(\w+) = (0x\w+)", body))
     assert {name: int(code, 16) for name, code in codes.items()} == {v.name: v for v in values}
-
-
-@pytest.mark.parametrize("uid", [0, 1, 0xC15C0001, 0xFFFFFFFF])
-def test_a_hub_answers_discovery_with_its_uid(c_side: CSide, uid: int) -> None:
-    payload = commands.answer(Command.DISCOVERY_PING, uid=uid)
-    assert c_side.discovery(uid) == cyskin.encode(Command.DISCOVERY_PING, payload)
-
-
-def test_checksums_have_their_published_values(c_side: CSide) -> None:
-    assert c_side.crc(b"123456789") == (0xFB, 0x29B1)
-
-
-@each("frames_in")
-def test_damaged_frames_deliver_and_count_alike(c_side: CSide, case: Case) -> None:
-    assert c_side.reassemble(frames_of(case["frames"])) == stated(case)
-
-
-@pytest.mark.parametrize("piece", [1, 2, 3, 7, 10_000])
-@each("serial_in")
-def test_pieces_of_a_line_deliver_and_count_alike(c_side: CSide, case: Case, piece: int) -> None:
-    assert c_side.receive(cut(bytes.fromhex(case["line"]), [piece])) == stated(case)
-
-
-@pytest.mark.parametrize("noise", [262, 263, 264, 526, 1000])
-@pytest.mark.parametrize("piece", [1, 2, 3, 7, 10_000])
-def test_a_line_that_is_too_long_is_dropped_up_to_its_delimiter(
-    c_side: CSide, noise: int, piece: int
-) -> None:
-    line = serial_link.encode(Command.SYNC, ihb=1)
-    packets, counters, _ = c_side.receive(cut(b"\1" * noise + line + line, [piece]))
-    assert packets == [Packet(0.0, 1, Command.SYNC, b"")]
-    assert counters["length_errors"] == 1
 
 
 def test_what_the_wire_cannot_carry_is_refused(c_side: CSide) -> None:

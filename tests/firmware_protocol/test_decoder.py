@@ -66,14 +66,6 @@ def test_sensor_data_before_its_table_is_counted_not_guessed() -> None:
     assert decoder.counters.undeclared == 1
 
 
-def test_a_scan_ends_with_its_last_channel() -> None:
-    decoder = declared()
-    counts = list(range(1000, 1000 + CHANNELS))
-    scans = [s for packet in scan_frames(counts, t=3.0) for f in packet for s in decoder.feed(f)[1]]
-    assert [(s.t, s.counts) for s in scans] == [(3.0, tuple(counts))]
-    assert scans[0].complete
-
-
 @given(st.lists(st.booleans(), min_size=6, max_size=6))
 def test_lost_packets_shift_nothing_and_mix_no_scans(kept: list[bool]) -> None:
     """Two scans of three packets, any of them lost: whatever arrives stands where it belongs."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from taxeld_protocol import cyskin
-from taxeld_protocol.cyskin import FRAGMENT_BYTES, MAX_PAYLOAD, Command, Reassembler
+from taxeld_protocol.cyskin import FRAGMENT_BYTES, Command
 from taxeld_protocol.decoder import MISSING, Decoder, Scan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module
@@ -88,17 +88,6 @@ def test_a_reboot_in_mid_scan_ends_it_where_it_was() -> None:
     scans = read(cut + declare + sent(200, t=3.0), decoder)
     assert [scan.counts.count(MISSING) for scan in scans] == [CHANNELS - 126, 0]
     assert [filled(scan) for scan in scans] == [{100}, {200}]
-
-
-def test_a_packet_longer_than_any_is_dropped_and_the_next_is_read() -> None:
-    link = Reassembler()
-    link.feed(Frame(0.0, 0x101, bytes(8)))
-    for _ in range(MAX_PAYLOAD):
-        assert link.feed(Frame(0.0, 0x201, bytes(8))) is None
-    assert link.feed(Frame(0.0, 0x401, b"")) is None
-    assert link.counters.length_errors == 1
-    good = [link.feed(frame) for frame in cyskin.to_frames(Command.PING, b"", ihb=1)]
-    assert good[-1] is not None
 
 
 def test_a_silent_device_ends_nothing_and_begins_afresh() -> None:

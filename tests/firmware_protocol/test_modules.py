@@ -70,16 +70,6 @@ def test_cut_modules_are_read_right_at_every_packet_length_whatever_details_tell
 
 
 @READING
-def test_a_patch_of_sixty_modules_with_one_cut_is_read_right(details_channels: int | None) -> None:
-    hub, decoder = patch([0xFFF] * 9 + [CUT] + [0xFFF] * 50, details_channels), Decoder()
-    told(decoder, hub, Command.DECLARE, Command.MODULE_DETAILS)
-    for length in range(1, MAX_VALUES + 1):
-        found = placed(decoder, hub, length)
-        assert len(found) == 59 * 12 + 8
-        assert all(uid == count for uid, count in found.items()), length
-
-
-@READING
 def test_a_module_that_is_cut_while_it_is_known_is_told_anew(details_channels: int | None) -> None:
     """By either answer alone: what only the other had told is of before."""
     for command in (Command.DECLARE, Command.MODULE_DETAILS):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from taxeld_protocol import serial_link, slcan
 from taxeld_protocol.cyskin import Packet
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.serial_link import SerialReader, cobs_decode, cobs_encode
+from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.slcan import SlcanReader
 
 packets = st.tuples(st.integers(0, 255), st.binary(max_size=255), st.integers(0, 255))
@@ -20,13 +20,6 @@ def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
     """`data` cut at places that `cuts` choose."""
     at = sorted({cut % (len(data) + 1) for cut in cuts} | {0, len(data)})
     return [data[a:b] for a, b in pairwise(at)]
-
-
-@given(st.binary(max_size=700))
-def test_cobs_round_trips_without_zeros(data: bytes) -> None:
-    encoded = cobs_encode(data)
-    assert 0 not in encoded
-    assert cobs_decode(encoded) == data
 
 
 @given(st.lists(packets, max_size=5), st.lists(st.integers(0, 10**6), max_size=20))
@@ -61,18 +54,6 @@ def test_a_line_without_delimiters_is_bounded() -> None:
     for _ in range(100):
         reader.feed(b"\x55" * 1000, 0.0)
         assert reader.pending <= serial_link.MAX_ENCODED
-
-
-@given(st.binary(max_size=40))
-def test_slcan_noise_is_no_frame_and_no_exception(line: bytes) -> None:
-    frame = slcan.parse(line)
-    assert frame is None or len(frame.data) <= 8
-
-
-def test_slcan_noise_without_an_end_is_bounded() -> None:
-    lines, rest = slcan.split(b"x" * 1000)
-    assert lines == []
-    assert len(rest) == slcan.MAX_LINE + 1
 
 
 @example([b"x" * (slcan.MAX_LINE + 1)], [])

@@ -21,61 +21,6 @@ def ask(
     return ihb.answer(Packet(0.0, to, command, payload))
 
 
-def test_discovery_tells_the_uid_and_takes_a_short_id() -> None:
-    ihb = hub()
-    assert ask(ihb, Command.DISCOVERY_PING) == [(0x10, bytes.fromhex("C0FFEE01"))]
-    assert ask(ihb, Command.DISCOVERY_RECV_ID, bytes.fromhex("C0FFEE0105")) == [(0x11, b"")]
-    assert ihb.short_id == 5
-    assert ask(ihb, Command.DISCOVERY_RECV_ID, bytes.fromhex("0000000106")) == []
-    assert ihb.short_id == 5
-
-
-def test_declare_and_details_describe_the_modules() -> None:
-    ihb = hub()
-    assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 3, 2)))]
-    details = ask(ihb, Command.MODULE_DETAILS, b"\xff")
-    assert [payload[:8].hex() for _, payload in details] == ["00000000010c0000", "01000000020c0000"]
-    assert [payload[7:9].hex() for _, payload in details] == ["0007", "0003"]
-    assert ask(ihb, Command.MODULE_DETAILS, b"\x01") == details[1:]
-
-
-def test_a_hub_that_was_just_powered_is_in_its_bootloader_and_streams_nothing() -> None:
-    ihb = VirtualIhb(wired(UIDS))
-    assert ask(ihb, Command.DECLARE) == [(0x3C, b"\x02")]
-    assert ask(ihb, Command.MODULE_DETAILS, b"\xff") == [
-        (0x3D, bytes.fromhex("0000000001")),
-        (0x3D, bytes.fromhex("0100000002")),
-    ]
-    refused = (0x13, bytes((Command.SET_AUTO_SYNC, ErrorCode.PHASE)))
-    assert ask(ihb, Command.SET_AUTO_SYNC, b"\x01") == [refused]
-    assert not any(ihb.due(t) for t in (0.0, 1.0, 2.0))
-
-
-@pytest.mark.parametrize("before", [[], [Command.SET_AUTO_SYNC]])
-def test_a_hub_is_led_out_of_its_bootloader_and_then_its_modules_are(before: list[Command]) -> None:
-    ihb = VirtualIhb(wired(UIDS))
-    for _ in before:
-        assert ask(ihb, Command.SET_AUTO_SYNC, b"\x00") == []  # to be silent costs nothing
-    assert ask(ihb, Command.MODULE_PROGRAM_END) == [(0x13, bytes((0x31, ErrorCode.PHASE)))]
-    assert ask(ihb, LEAVE_BOOTLOADER) == []
-    assert ask(ihb, Command.DECLARE) == [(0x3C, b"\x02")]
-    assert ask(ihb, Command.MODULE_PROGRAM_END) == []
-    assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 3, 2)))]
-    ask(ihb, Command.SET_AUTO_SYNC, b"\x01")
-    assert ihb.due(0.0)
-
-
-@pytest.mark.parametrize("command", [LEAVE_BOOTLOADER, Command.MODULE_PROGRAM_END])
-def test_what_leads_a_hub_out_of_its_bootloader_does_no_harm_to_one_that_streams(
-    command: int,
-) -> None:
-    ihb = hub()
-    ask(ihb, Command.SET_AUTO_SYNC, b"\x01")
-    assert ask(ihb, command) == []
-    assert [ihb.due(0.0), ihb.due(0.05)] == [True, True]
-    assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 3, 2)))]
-
-
 def test_a_hub_hears_the_frame_that_ends_its_bootloader_and_no_other_of_29_bits() -> None:
     def heard(line: str) -> Packet | None:
         frame = parse_log_line(line)
@@ -127,11 +72,6 @@ def test_what_it_cannot_do_is_an_error_naming_the_command(
     command: int, payload: bytes, code: ErrorCode
 ) -> None:
     assert ask(hub(), command, payload) == [(Command.ERROR, bytes((command, code)))]
-
-
-def test_requests_to_another_hub_are_not_answered() -> None:
-    assert ask(hub(), Command.DECLARE, to=4) == []
-    assert ask(hub(), Command.DECLARE, to=3) != []
 
 
 def test_a_scan_of_the_wrong_size_is_a_programming_error() -> None:
