@@ -1,6 +1,7 @@
 """Bring-up against virtual hubs, on a fake clock."""
 
 import itertools
+import logging
 import random
 from collections import defaultdict
 from collections.abc import Iterable
@@ -49,7 +50,6 @@ class HubBus:
         self.wrong = 0  # scans that were read by another hub's table
         self.decoder = Decoder()
         self.bring_up = BringUp(self.decoder, period_ms, suis)
-        self.news: list[str] = []
         self.said: list[tuple[float, int, int]] = []  # time, to whom, command
         self.scans_s: dict[int, list[float]] = defaultdict(list)  # hub UID → times of its scans
 
@@ -73,7 +73,6 @@ class HubBus:
                     if self._rng.random() >= self.lost:
                         for answer in hub.answer(Packet(now, to, command, payload)):
                             self._hear(hub.short_id, answer, now)
-            self.news += self.bring_up.news()
             for hub in self.hubs:
                 if hub.due(now):
                     channels = sum(module.channels for module in hub.modules)
@@ -217,20 +216,21 @@ def test_who_does_not_answer_is_looked_for_at_a_low_rate(
     ],
 )
 def test_a_hub_that_does_not_start_is_told_of_and_waited_for(
-    stuck: VirtualIhb, line: str, rate_hz: float
+    stuck: VirtualIhb, line: str, rate_hz: float, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level(logging.INFO, "taxeld")
     bus = HubBus(stuck)
     bus.run(0.0, 5.0)
-    assert bus.news[:1] == ["hub 1 is in its bootloader, as after power-on; it is started"]
+    assert caplog.messages[:1] == ["hub 1 is in its bootloader, as after power-on; it is started"]
     bus.run(5.0, 60.0)
-    assert len(bus.news) == 1, "it is told once"
+    assert len(caplog.messages) == 1, "it is told once"
     assert bus.bring_up.waits_for.startswith(f"hub 1 {line}")
     assert len(bus.sent) < 60 * rate_hz
     bus.hubs = [VirtualIhb(listed([(9, 0xFFF)]), uid=7)]
     bus.run(60.0, 67.0)
     assert bus.bring_up.waits_for == ""
     assert bus.scans > 0
-    assert bus.news[-1] == VERSIONS_LINE
+    assert caplog.messages[-1] == VERSIONS_LINE
 
 
 def test_a_module_that_declares_other_channels_than_its_mask_has_is_refused_with_its_hub() -> None:
@@ -258,8 +258,9 @@ def test_a_module_that_declares_other_channels_than_its_mask_has_is_refused_with
     ],
 )
 def test_each_hub_is_asked_once_for_its_versions_and_what_it_says_is_told(
-    versions: dict[int, str], line: str
+    versions: dict[int, str], line: str, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level(logging.INFO, "taxeld")
     one, two = VirtualIhb(MODULES[:1], uid=7), VirtualIhb(MODULES[1:], uid=8, versions=versions)
     bus = HubBus(one, two)
     bus.run(0.0, 3.0)
@@ -269,7 +270,7 @@ def test_each_hub_is_asked_once_for_its_versions_and_what_it_says_is_told(
         assert bus.sent.count(command) == 1
     said = {"1": VERSIONS_LINE.removeprefix("hub 1: ")} | ({"2": line} if line else {})
     assert bus.bring_up.firmware == said
-    assert [news for news in bus.news if "version" in news or "application" in news] == [
+    assert [news for news in caplog.messages if "version" in news or "application" in news] == [
         f"hub {ihb}: {text}" for ihb, text in said.items()
     ]
 

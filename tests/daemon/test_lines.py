@@ -14,6 +14,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -350,6 +351,23 @@ def test_what_waited_on_a_line_while_the_loop_was_stopped_is_dropped_and_counted
     decoded = Decoder().take(items_of(tmp_path / "session"))  # type: ignore[arg-type]
     recorded = [scan.counts for _, ended in decoded for scan in ended]
     assert recorded == [scan.counts for scan in skin.scans], "it is not recorded"
+
+
+def test_what_waited_on_a_line_while_the_daemon_started_is_dropped_and_counted(
+    opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between opening the device and the first pass, samplers and models are loaded."""
+    clock = SimpleNamespace(monotonic=lambda: 0.0, time=time.time, sleep=time.sleep)
+    monkeypatch.setattr("taxeld.source.sources.time", clock)
+    skin = opened(NATIVE, listen_only=True, modules=LISTED)
+    skin.hub.ihb.phase, skin.hub.ihb.auto_sync = Phase.RUNNING, True
+    skin.port.is_open = True  # something else has started it
+    for _ in range(100):
+        skin.turn(polls=False)
+    missed = skin.hub.scans
+    skin.more()
+    assert [s.counts[0] for s in skin.scans] == [missed + 1, missed + 2, missed + 3]
+    assert skin.source.counters.late == missed
 
 
 class FarEnd:

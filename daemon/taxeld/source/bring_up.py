@@ -10,6 +10,7 @@ hear of it is discovery; the rest goes to each silent hub under its own id, and 
 the fragments that another is sending.
 """
 
+import logging
 import math
 from collections import deque
 from collections.abc import Iterable
@@ -52,6 +53,8 @@ VERSIONS = {
 }
 VERSION_S = 0.02  # time for an answer: a hub may have to ask its modules
 VERSION_CHARACTERS = 32  # of a version, at most
+
+log = logging.getLogger(__name__)
 
 Request = tuple[int, int, bytes]  # short id of the hub that it is for, command, payload
 Asked = tuple[Request, float]  # a request, and the pause after it
@@ -100,7 +103,6 @@ class BringUp:
         self._found: set[int] = set()  # ids of the hubs that discovery found in this round
         self._answered: set[int] = set()  # ids of the hubs that answered discovery in this step
         self._told: set[int] = set()  # ids of the hubs that answered DECLARE in this step
-        self._news: list[str] = []
         self._now_s = -math.inf
 
     @property
@@ -121,11 +123,6 @@ class BringUp:
         """Begin again at once, because the device was opened again."""
         self._scan_s.clear()
         self._begin()
-
-    def news(self) -> list[str]:
-        """Lines on events since the last call."""
-        news, self._news = self._news, []
-        return news
 
     def on_packet(self, packet: Packet) -> None:
         """Take a packet. A hub that answers discovery gets its short id, whatever id it has, as in
@@ -148,7 +145,7 @@ class BringUp:
     def on_scan(self, ihb: int, now_s: float) -> None:
         if ihb not in self._logged and str(ihb) in self.firmware:
             self._logged.add(ihb)
-            self._news.append(f"hub {ihb}: {self.firmware[str(ihb)]}")
+            log.info("hub %d: %s", ihb, self.firmware[str(ihb)])
         self._scan_s[ihb] = now_s
         self._late.pop(ihb, None)
 
@@ -374,7 +371,7 @@ class BringUp:
             self._late.pop(packet.ihb, None)
             return
         if packet.ihb not in self._late:
-            self._news.append(f"hub {packet.ihb} {COLD}")
+            log.info("hub %d %s", packet.ihb, COLD)
         self._is_late(packet.ihb, STUCK)
 
     def _is_late(self, ihb: int, why: str) -> None:

@@ -247,7 +247,7 @@ class LiveSource(Source):
         self._sent_s = 0.0  # time when all requests had left; -inf while none leaves
         stopped_s = max(STOPPED_S, STOPPED_PERIODS * config.period_ms / 1000.0)
         self._stopped_s = stopped_s if config.is_unstamped else math.inf
-        self._polled_s = math.inf  # time of the last poll of this device
+        self._polled_s = math.inf  # time of the last poll of this device, or of its opening
         try:
             self._take(self._open())
         except SetupError as error:
@@ -302,7 +302,7 @@ class LiveSource(Source):
         self.device, self._failed = device, None
         self._requests.clear()
         self._pause_s = REOPEN_S[0]
-        self._polled_s = math.inf
+        self._polled_s = time.monotonic()
         self.waits_for = ""
         self._amiss.clear()
 
@@ -379,8 +379,6 @@ class LiveSource(Source):
         if not waits:
             until_s = now_s + PATIENCE_S
             self._requests.extend((until_s, request) for request in bring_up.due(self._due_s))
-        for line in bring_up.news():
-            log.info("%s", line)
         return bring_up.waits_for
 
     def _flush(self, device: Device) -> None:
