@@ -91,27 +91,3 @@ while True:
         time.sleep(0.01)
 """
 )
-
-# Subscribers who never read and ask for the description of the stream again and again: its path
-ASK_AGAIN = (
-    _HELLO
-    + """
-peers = [connected(sys.argv[1]) for _ in range(150)]
-for peer in peers:
-    peer.setblocking(False)
-print(flush=True)
-while True:
-    for n, peer in enumerate(peers):
-        try:
-            peer.sendall(frame(b"\\x00/taxeld/info") + frame(b"\\x01/taxeld/info"))
-        except BlockingIOError:
-            pass
-        except OSError:
-            try:
-                peers[n] = connected(sys.argv[1])
-                peers[n].setblocking(False)
-            except OSError:
-                pass
-    time.sleep(0.005)
-"""
-)

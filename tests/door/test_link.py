@@ -111,12 +111,16 @@ def test_a_change_that_fails_is_logged_counted_and_answered_and_the_door_stays(
 def test_a_fault_is_heard_of_a_door_that_ends_without_reading(
     ends: Ends, caplog: pytest.LogCaptureFixture
 ) -> None:
+    ends.say(Kind.WANTED, list(topics.TOPICS))
     ends.say(Kind.LOG, logging.WARNING, "a line")
     ends.say(Kind.FAULT, "no such key")
     assert ends.door is not None
     ends.door.close()
     ends.look()
     assert (ends.link.fault, ends.link.end) == ("no such key", None)
+    ends.link.send(topics.ESTIMATE, {}, 1.0)
+    assert not any(map(ends.link.wants, topics.TOPICS))
+    assert ends.link.unsent == 0
     assert caplog.record_tuples == [("taxeld.stream.link", logging.WARNING, "door: a line")]
 
 
@@ -185,15 +189,3 @@ def test_what_a_full_pair_does_not_take_is_dropped_and_counted(ends: Ends) -> No
     assert len(ends.heard()) == 1 + 2000 - lost
     ends.link.send(topics.ESTIMATE, {}, 1.0)
     assert len(ends.heard()) == 1
-
-
-def test_without_a_door_nothing_is_sent_wanted_or_counted(ends: Ends) -> None:
-    ends.say(Kind.WANTED, list(topics.TOPICS))
-    ends.look()
-    assert ends.door is not None
-    ends.door.close()
-    ends.look()
-    assert ends.link.end is None
-    ends.link.send(topics.ESTIMATE, {}, 1.0)
-    assert not any(map(ends.link.wants, topics.TOPICS))
-    assert ends.link.unsent == 0

@@ -62,12 +62,6 @@ def test_poses_come_by_the_topics_of_the_links_alone(tmp_path: Path) -> None:
     assert robot.line.malformed == 0
 
 
-def test_messages_of_very_many_frames_starve_no_pose(robot: Robot) -> None:
-    for _ in range(100):
-        robot.socket.send_multipart([b"/robot/sensor_pose", *[b"x"] * 5000])
-    robot.until_heard(1.0)
-
-
 def test_a_door_is_not_woken_by_each_pose(robot: Robot) -> None:
     def sleeps() -> int:
         status = Path(f"/proc/{robot.stand.pid}/status").read_text(encoding="ascii")
