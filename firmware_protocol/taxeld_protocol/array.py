@@ -26,8 +26,6 @@ NAMES = 16  # taxels of a module: those of one SUI
 BACK_MAX = 10  # ordered frames in a row before the last time: the sender's clock was set back
 FUTURE_S = 0.1  # a frame stamped farther in the future tells nothing of the order
 
-Pick = Callable[[tuple[int, ...]], tuple[int, ...]]
-
 
 class ArrayFrame(NamedTuple):
     """A message that was found good."""

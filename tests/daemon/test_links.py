@@ -114,6 +114,9 @@ def test_touches_of_two_links_are_one_beliefs(
     scans = [stage.skin.counters.scans for stage in again.stages]
     assert scans == pytest.approx([s.skin.counters.scans for s in pipeline.stages], abs=2)
     assert again.estimate.contacts == pipeline.estimate.contacts == 2
+    (session / "link2").mkdir()  # as older sessions have it
+    with pytest.raises(SetupError, match=r"link2: .*; record it anew$"):
+        next(replay.outcomes(session, again))
 
 
 def test_a_silent_link_leaves_the_other_working(open_links: Callable[[bool], TwoHubs]) -> None:
