@@ -79,7 +79,7 @@ def test_a_sampler_gives_poses() -> None:
         (graph(noise=(10**9, "samples", 4)), "noise is not"),
         (graph(names=("z", "live", "seed")), "inputs are not"),
         (graph(kind=TensorProto.DOUBLE), ""),
-        (graph([helper.make_node("Nonsense", ["flat", "w"], ["poses"])]), ""),
+        (graph([helper.make_node("Loop", ["w", "", "flat"], ["poses"])]), "loops or branches"),
         (graph(ADDED, helper.make_tensor("w", 1, [1], [np.nan])), "no finite poses"),
         (graph(ADDED, helper.make_tensor("w", 1, [3, 1, 1], [0.0] * 3)), ""),
         (graph(ADDED, elsewhere("../secret.bin")), "names other files as its weights"),

@@ -16,6 +16,8 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # the wheels send telemetry
 import onnxruntime as ort
 
 TRIED = 8  # samples of the trial call
+# nodes' types in a graph's bytes: field 4, its length, the name
+ENDLESS = b"\x22\x04Loop", b"\x22\x04Scan", b"\x22\x02If"
 MOST_STEPS = 10_000  # limit on the steps of noise
 
 
@@ -37,6 +39,8 @@ class Sampler:
             # this key names weights in other files, which a bundle does not vouch for
             if b"location" in graph:
                 raise ValueError("it names other files as its weights")
+            if any(op in graph for op in ENDLESS):
+                raise ValueError("it has loops or branches, which need not end")
             self._session = _session(graph)
             self._noise_steps = _noise_steps(self._session, layout)
             touch, live = np.eye(1, len(layout))[0], np.ones(len(layout), bool)
