@@ -1,7 +1,4 @@
-"""The protocol: throughput beside two baselines, and a saturated bus.
-
-Run by `make bench`. Throughput is CPU time, the three decoders interleaved.
-"""
+"""The protocol, for `make bench`: CPU time of three decoders, interleaved, and a saturated bus."""
 
 import random
 import statistics

@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import numpy as np
 import pytest
 import zmq
 
 pytest.importorskip("rerun")
+
+import rerun as rr
 
 from taxeld.cli import main
 from taxeld.commands.running import Subscriber
@@ -231,6 +234,20 @@ def test_a_window_that_is_closed_ends_the_view_of_a_daemon(
     viewer("head -c 20000 >seen")
     assert main(["view", daemon()]) == 0
     assert (tmp_path / "seen").stat().st_size == 20_000
+
+
+def test_a_window_that_is_closed_leaves_the_rest_undrawn(viewer: Callable[[str], None]) -> None:
+    """The stream's own end would wait for it while it holds the interpreter."""
+    viewer("exit 0")
+    picture, points = view.Picture(), np.zeros((200, 3))
+
+    def heard() -> Iterator[view.Message]:
+        for _ in range(50):
+            for _ in range(30):
+                picture.stream.log("much", rr.Points3D(points))
+            yield view.PAUSE
+
+    view.show(picture, heard(), lambda: False)
 
 
 def test_a_viewer_that_fails_is_one_line(viewer: Callable[[str], None]) -> None:

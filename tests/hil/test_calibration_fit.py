@@ -1,5 +1,6 @@
 """A calibration: held presses, a skin at rest, and the fit; what cannot be known is refused."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -106,7 +107,8 @@ def test_presses_of_one_side_of_the_skin_are_refused() -> None:
     # the object pressed at one place, by the same side each time
     one = np.repeat(skin.sensor[:1], 15, axis=0)
     message = refused(replace(skin, sensor=one))
-    assert message.startswith("calibrate: the presses are on 1 of the skin's sides")
+    # on the border of two sides they are on both
+    assert re.match("calibrate: the presses are on [12] of the skin's sides", message)
     assert "turn the sensor" in message
 
 

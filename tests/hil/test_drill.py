@@ -1,16 +1,13 @@
 """Objects that are not shipped, of bundles without samplers: they run in any scenario, on the
 layout and the foam that they were built for."""
 
-import json
 from pathlib import Path
 
 import pytest
 
-from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model import se2
-from taxeld_hil import cli
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.run.processes import Processes
 from taxeld_hil.scenario import scenario
@@ -31,17 +28,6 @@ def built(place: Path, name: str, layout_name: str, depth_m: float) -> Path:
     """A bundle, but for the training of its samplers: the daemon looks up simulated contacts."""
     bundles.bare(name, layouts.load(layout_name), HEIGHT_M, depth_m, place)
     return place
-
-
-def test_a_drill_is_felt_on_a_soft_skin_and_everything_is_accounted_for(tmp_path: Path) -> None:
-    drill = built(tmp_path / "drill", "035_power_drill", SkinConfig().layout, 0.005)
-    command = ["matrix", "demo", "--object", str(drill), "--foam", "typical", "--seeds", "1"]
-    command += ["--workers", "1", "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
-    assert cli.main(command) in (0, 1)
-    result = json.loads((tmp_path / "scenarios.json").read_text(encoding="utf-8"))
-    (run,) = result["runs"]
-    assert run["contacts"] >= 8
-    assert not [name for name in run["failed"] if name.startswith("accounts")]
 
 
 @pytest.mark.parametrize(("foam", "depth_mm"), [("scene", 3.0), ("typical", 10.0)])

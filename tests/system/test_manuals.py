@@ -62,15 +62,6 @@ def test_bash_completes_commands_options_choices_and_files() -> None:
     assert completed("run", "READ") == {"README.md"}
 
 
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_zsh_can_read_its_completion(program: str, tmp_path: Path) -> None:
-    if not shutil.which("zsh"):
-        pytest.skip("zsh is not installed")
-    path = tmp_path / f"_{program}"
-    path.write_text(FILES[f"share/zsh/site-functions/_{program}"], encoding="utf-8")
-    subprocess.run(["zsh", "-n", str(path)], check=True)
-
-
 def test_each_program_that_pip_installs_has_a_page() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     scripts = {name: place.split(":")[0] for name, place in project["scripts"].items()}

@@ -138,5 +138,6 @@ def show(picture: Picture, heard: Iterable[Message], ends: Ends) -> None:
             while viewer.poll() is None and not ends():
                 time.sleep(LOOK_S)
             viewer.terminate()
+    drawn.read()  # what is left: the stream's end would wait for it and hold the interpreter
     if viewer.returncode > 0:
         raise SetupError("view: the viewer failed, as it says above; use --save FILE")
