@@ -55,4 +55,4 @@ def test_a_bundle_of_a_layout_file_asks_for_that_file(tmp_path: Path) -> None:
         FakeRun(demo, seed=0)
     passing(demo.on("", str(own)))
     with pytest.raises(SetupError, match=r"is for the layout own .*name that layout .*--layout"):
-        Processes(tmp_path / "x.toml", "", demo.on("", RING.replace("12", "16")), "error")
+        Processes(tmp_path / "x.toml", "", demo.on("", RING.replace("12", "16")))
