@@ -99,7 +99,8 @@ def lived(laps: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[F
     """A daemon that touches the mug, until it has learned, or if it takes the mug for `of` again
     and again; → it, and the sds of its taxels before."""
     asked = replace(scenario.load("demo").touching("mug").on("typical"), contacts=8)
-    run = FakeRun(asked, seed, rate_hz=40.0, learns=learns)
+    run = FakeRun(asked, seed, rate_hz=40.0)
+    run.config = replace(run.config, skin=replace(run.config.skin, learn=learns))
     run.scenes = [bundle.load(of or "mug", run.skin)]
     run.daemon = run._born()
     for lap in range(laps):

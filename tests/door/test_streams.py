@@ -8,6 +8,7 @@ import msgpack
 import pytest
 import zmq
 
+from taxeld.door import streams
 from taxeld.stream import topics
 from taxeld.stream.sockets import open_socket
 
@@ -57,6 +58,24 @@ def test_the_loop_knows_which_topics_somebody_wants(stand: Stand) -> None:
     stand.until(lambda: not (wants(topics.TAXELS) or wants(topics.PARTICLES)))
     assert wants(topics.COUNTS)
     third.close()
+
+
+def test_all_topics_are_wanted_while_subscriptions_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streams, "EVENTS_PER_LOOK", 1)
+    with Sockets() as sockets:
+        made = streams.Streams(sockets.context, QUEUE)
+        sockets.keep(made.socket).bind(f"ipc://{tmp_path}/x")
+        flood = sockets.open(zmq.XSUB)
+        flood.connect(f"ipc://{tmp_path}/x")
+        for number in range(100):
+            flood.send(b"\x01/other/%d" % number)
+        flood.send(b"\x01" + topics.TAXELS)
+        for wanted in (set(topics.TOPICS), {topics.TAXELS}):
+            while made.wanted != wanted:
+                assert made.socket.poll(10_000), "all are taken"
+                made.poll(0.0)
 
 
 @pytest.mark.parametrize("end", [b"\x00", b""])

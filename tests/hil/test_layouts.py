@@ -8,7 +8,6 @@ import pytest
 
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld_hil.scenario import scenario
 from taxeld_hil.world import bundled, robot
 from tests.hil.rig import DEMO, passing
 
@@ -20,11 +19,6 @@ SHARED = Path(os.environ.get("TAXELD_SHARED", Path(__file__).parents[3] / "share
 REAL = (
     SHARED / "layouts" / "ur10e_link1_patch1.json",
     SHARED / "layouts" / "ur10e_link2_patch1.json",
-)
-PITCHES = (  # each covers about the same area of the same link
-    "cylinder:rows=11,columns=39,radius_m=0.04,pitch_m=0.0065",
-    "cylinder:rows=5,columns=17,radius_m=0.04,pitch_m=0.015",
-    "cylinder:rows=3,columns=10,radius_m=0.04,pitch_m=0.025",
 )
 
 
@@ -71,9 +65,3 @@ def test_a_box_is_found_on_real_layouts_by_touches_that_are_all_felt(path: Path)
     last = passing(DEMO.on("scene", str(path))).judge.last
     assert last is not None
     assert last.contacts == DEMO.contacts
-
-
-@pytest.mark.parametrize("line", PITCHES)
-def test_no_length_of_the_filter_holds_for_one_pitch_alone(line: str) -> None:
-    """One set of constants, three pitches, the same link: the box is found on each."""
-    passing(scenario.load("demo").on("typical", line))

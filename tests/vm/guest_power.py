@@ -40,8 +40,8 @@ def a_power_cut_costs_a_recording_its_last_seconds_alone() -> str:
     poses = len(session.read_poses(Path(name, session.POSES)))
     done = subprocess.run([COMMAND, "replay", name], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    held = f"{len(times)} frames and {poses} sensor poses are whole, and used"
-    assert done.stderr == f"{name}: the recording was cut; {held}\n", done.stderr
+    used = f"{len(times)} frames, {poses} sensor poses"
+    assert done.stderr == f"{name}: the recording was cut; used are {used}\n", done.stderr
     *_, last = map(json.loads, done.stdout.splitlines())
     assert times[-1] - last["t"] < 1.0
     until("the instance is back", lambda: VCAN0.show("ActiveState") == "active")

@@ -33,20 +33,24 @@ class Streams:
         self.socket.setsockopt(zmq.SNDBUF, SEND_BYTES)
         self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)  # else further subscribers go unnoticed
         self._prefixes = set[bytes]()  # of topics that somebody hears
+        self._is_behind = False  # whether subscriptions wait that were not taken
         self._greets = False
         self._next_info_s = -math.inf
 
     @property
     def wanted(self) -> Set[bytes]:
-        """Topics that somebody has subscribed to."""
+        """Topics that somebody has subscribed to, or may have: all, while subscriptions wait."""
+        if self._is_behind:
+            return frozenset(TOPICS)
         return {topic for topic in TOPICS if topic.startswith(tuple(self._prefixes))}
 
     def poll(self, now_s: float) -> None:  # noqa: ARG002
         """Take subscriptions."""
         for _ in range(EVENTS_PER_LOOK):
             if not is_waiting(self.socket):
-                return
+                break
             self._take(self.socket.recv(zmq.NOBLOCK, copy=False))
+        self._is_behind = is_waiting(self.socket)
 
     def greet(self, now_s: float, info: Collection[bytes]) -> None:
         """Send `/taxeld/info` where a newcomer has asked for it and `info` is not empty; `now_s` is

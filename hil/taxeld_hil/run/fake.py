@@ -9,7 +9,7 @@ from typing import Any
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout.layout import Layout
-from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration, SkinState
@@ -49,7 +49,6 @@ class FakeDaemon:
         )
         self._lines = lines
         self.source = self.sources[0]  # of the first link
-        self.outcomes: list[Outcome] = []  # outcomes of the last tick
         self._start_s = lines[0].now
         self.pipeline.freshness.came(self._start_s)
         for stage, state in zip(self.pipeline.stages, kept, strict=True):
@@ -65,8 +64,7 @@ class FakeDaemon:
                 if isinstance(frame, ArrayFrame):
                     source.hear(frame)
         came = polled(self.sources, t)
-        self.outcomes = list(self.pipeline.advance(came[0], t, *came[1:]))
-        for outcome in self.outcomes:
+        for outcome in self.pipeline.advance(came[0], t, *came[1:]):
             self.pipeline.freshness.came(t, outcome.link)
 
     def estimate(self, t: float) -> Estimate:

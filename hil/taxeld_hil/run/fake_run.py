@@ -38,12 +38,9 @@ class FakeRun:
         rate_hz: float = 100.0,
         filter_keys: str = "",
         calibration: Calibration | None = None,
-        *,
-        learns: bool = True,
     ) -> None:
         """`rate_hz`: of the daemon's loop, and of all that steps with it; `filter_keys`: lines of
-        TOML for the daemon's table [filter]; `calibration`: of this very skin; `learns`: whether
-        the daemon learns from its touches.
+        TOML for the daemon's table [filter]; `calibration`: of this very skin.
 
         Raises:
             SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
@@ -56,8 +53,7 @@ class FakeRun:
         self.line = self.lines[0]
         self._file = settings.without_devices(scenario, seed, filter_keys)
         parsed = config_file.parse(self._file)
-        loop, skin = replace(parsed.loop, rate_hz=rate_hz), replace(parsed.skin, learn=learns)
-        self.config = replace(parsed, loop=loop, skin=skin)
+        self.config = replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))
         where = [rig.scenario.skin_layout for rig in self.rigs]
         self.scenes = [bundled.on_layout(name, *where) for name in scenario.known]
         self.skin = self.scenes[0].model.layout
