@@ -5,7 +5,7 @@ import os
 import re
 import struct
 import subprocess
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from enum import IntEnum
 from pathlib import Path
@@ -125,44 +125,46 @@ def test_both_sides_have_the_same_codes(enum: str, prefix: str, values: type[Int
     assert {name: int(code, 16) for name, code in codes.items()} == {v.name: v for v in values}
 
 
-def test_what_the_wire_cannot_carry_is_refused(c_side: CSide) -> None:
-    module = {"sui": 1, "mask": 0x7FF, "channels": 11}
-    assert c_side.encode(Command.VERSION, bytes(256)) == E_ARGUMENT
-    assert c_side.fragment(b"", 1) == E_LENGTH
-    assert c_side.fragment(bytes(PACKET_MAX + 1), 1) == E_LENGTH
-    assert c_side.declare([13]) == E_ARGUMENT
-    assert c_side.declare([1] * 249) == E_ARGUMENT
-    assert c_side.details(248, module) == E_ARGUMENT
-    assert c_side.details(0, {**module, "channels": 13}) == E_ARGUMENT
-    assert c_side.details(0, {**module, "mask": 0x1000}) == E_ARGUMENT
-    assert c_side.cobs_encode(bytes(32001)) == E_ARGUMENT
+MODULE = {"sui": 1, "mask": 0x7FF, "channels": 11}
+PACKET = cyskin.encode(Command.VERSION, b"v1")
 
 
 @pytest.mark.parametrize(
-    ("channels", "n", "start"),
+    ("call", "error"),
     [
-        ([13], 1, (0, 0)),  # more channels than a module has
-        ([1] * 249, 1, (0, 0)),  # more modules than a hub has
-        ([], 1, (0, 0)),
-        ([12, 11], 24, (0, 0)),  # one value too many
-        ([12, 11], 19, (0, 5)),
-        ([12, 11], 12, (0, 12)),  # no such channel
-        ([12, 11], 12, (1, 0)),
-        ([12, 0], 0, (1, 1)),
-        ([12, 11], 0, (2, 1)),
-        ([12, 11], 0, (3, 0)),  # no such module
+        (lambda c: c.encode(Command.VERSION, bytes(256)), E_ARGUMENT),
+        (lambda c: c.fragment(b"", 1), E_LENGTH),
+        (lambda c: c.fragment(bytes(PACKET_MAX + 1), 1), E_LENGTH),
+        (lambda c: c.declare([13]), E_ARGUMENT),
+        (lambda c: c.declare([1] * 249), E_ARGUMENT),
+        (lambda c: c.details(248, MODULE), E_ARGUMENT),
+        (lambda c: c.details(0, MODULE | {"channels": 13}), E_ARGUMENT),
+        (lambda c: c.details(0, MODULE | {"mask": 0x1000}), E_ARGUMENT),
+        (lambda c: c.cobs_encode(bytes(32001)), E_ARGUMENT),
+        (lambda c: c.serial(PACKET[:-1], 1), E_LENGTH),
+        (lambda c: c.serial(PACKET[:-1] + b"\0", 1), E_CRC),
+        # a scan that does not fit its modules
+        *(
+            (lambda c, scan=scan: c.scan(*scan), E_ARGUMENT)
+            for scan in (
+                ([13], [0], (0, 0)),  # more channels than a module has
+                ([1] * 249, [0], (0, 0)),  # more modules than a hub has
+                ([], [0], (0, 0)),
+                ([12, 11], [0] * 24, (0, 0)),  # one value too many
+                ([12, 11], [0] * 19, (0, 5)),
+                ([12, 11], [0] * 12, (0, 12)),  # no such channel
+                ([12, 11], [0] * 12, (1, 0)),
+                ([12, 0], [], (1, 1)),
+                ([12, 11], [], (2, 1)),
+                ([12, 11], [], (3, 0)),  # no such module
+            )
+        ),
     ],
 )
-def test_a_scan_that_does_not_fit_its_modules_is_refused(
-    c_side: CSide, channels: list[int], n: int, start: tuple[int, int]
+def test_what_the_wire_cannot_carry_is_refused(
+    c_side: CSide, call: Callable[[CSide], object], error: int
 ) -> None:
-    assert c_side.scan(channels, [0] * n, start) == E_ARGUMENT
-
-
-def test_a_damaged_packet_gets_no_line(c_side: CSide) -> None:
-    packet = cyskin.encode(Command.VERSION, b"v1")
-    assert c_side.serial(packet[:-1], 1) == E_LENGTH
-    assert c_side.serial(packet[:-1] + b"\0", 1) == E_CRC
+    assert call(c_side) == error
 
 
 def test_no_builder_writes_past_its_room(c_side: CSide) -> None:

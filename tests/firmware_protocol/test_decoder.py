@@ -1,5 +1,8 @@
 """Scans out of packets: the module table, the walk, and what is missing."""
 
+from collections.abc import Callable
+
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -66,29 +69,53 @@ def test_sensor_data_before_its_table_is_counted_not_guessed() -> None:
     assert decoder.counters.undeclared == 1
 
 
-@given(st.lists(st.booleans(), min_size=6, max_size=6))
-def test_lost_packets_shift_nothing_and_mix_no_scans(kept: list[bool]) -> None:
-    """Two scans of three packets, any of them lost: whatever arrives stands where it belongs."""
+# what becomes of a packet's frames, number `at` of them above all, and how often it comes whole
+HAPPENS: dict[str, tuple[Callable[[list[Frame], int], list[Frame]], Callable[[int, int], int]]] = {
+    "nothing": (lambda frames, _: frames, lambda *_: 1),
+    "all are lost": (lambda *_: [], lambda *_: 0),
+    "one is lost": (lambda frames, at: frames[:at] + frames[at + 1 :], lambda *_: 0),
+    "one comes twice": (
+        lambda frames, at: frames[: at + 1] + frames[at:],
+        lambda at, last: int(at in (0, last)),
+    ),
+    "two change places": (lambda frames, at: swapped(frames, max(at, 1)), lambda *_: 0),
+    "a bit is flipped": (
+        lambda frames, at: [*frames[:at], flipped(frames[at]), *frames[at + 1 :]],
+        lambda *_: 0,
+    ),
+    "all come twice": (lambda frames, _: frames * 2, lambda *_: 2),
+}
+
+
+def swapped(frames: list[Frame], at: int) -> list[Frame]:
+    return [*frames[: at - 1], frames[at], frames[at - 1], *frames[at + 1 :]]
+
+
+def flipped(frame: Frame) -> Frame:
+    return frame._replace(data=frame.data[:-1] + bytes((frame.data[-1] ^ 1,)))
+
+
+@given(st.lists(st.tuples(st.sampled_from([*HAPPENS]), st.integers(0, 36)), min_size=6, max_size=6))
+def test_damage_costs_its_packet_shifts_nothing_and_mixes_no_scans(
+    happens: list[tuple[str, int]],
+) -> None:
+    """Two scans of three packets: whatever arrives stands where it belongs, and nothing else."""
     decoder, scans = declared(), []
     first, second = [1000 + i for i in range(CHANNELS)], [5000 + i for i in range(CHANNELS)]
-    sent = scan_frames(first, t=1.0) + scan_frames(second, t=2.0)
-    for packet, keep in zip(sent, kept, strict=True):
-        for frame in packet if keep else packet[1:]:
+    sent, wanted = scan_frames(first, t=1.0) + scan_frames(second, t=60.0), []
+    for n, (frames, (what, number)) in enumerate(zip(sent, happens, strict=True)):
+        damage, whole = HAPPENS[what]
+        at = number % len(frames)
+        for frame in damage(frames, at):
             scans += decoder.feed(frame)[1]
+        low, source = n % 3 * 126, first if n < 3 else second
+        values = [(i, source[i]) for i in range(low, min(low + 126, CHANNELS))]
+        wanted += values * whole(at, len(frames) - 1)
     scans += decoder.flush()
-    values: list[tuple[int, int]] = []
-    for scan in scans:
-        filled = [(i, v) for i, v in enumerate(scan.counts) if v != MISSING]
-        values += filled
-        for i, v in filled:
-            assert v in (first[i], second[i])
-    wanted = []
-    for n, keep in enumerate(kept):
-        low = n % 3 * 126
-        source = first if n < 3 else second
-        wanted += [(i, source[i]) for i in range(low, min(low + 126, CHANNELS)) if keep]
-    assert values == wanted
-    assert all(len({v // 4000 for v in s.counts if v != MISSING}) <= 1 for s in scans)
+    assert [(i, v) for s in scans for i, v in enumerate(s.counts) if v != MISSING] == wanted
+    assert all(len({v // 4000 for v in s.counts if v != MISSING}) == 1 for s in scans)
+    incomplete = sum(MISSING in scan.counts for scan in scans)
+    assert decoder.counters.incomplete == incomplete
 
 
 def test_two_hubs_keep_their_scans_apart() -> None:
@@ -116,14 +143,19 @@ def test_modules_without_channels_are_walked_over() -> None:
     assert scan.by_module == [[7], [], [9]]
 
 
-def test_a_changed_table_ends_the_scan_under_way() -> None:
+@pytest.mark.parametrize("channels", [2, 4])
+def test_a_hub_that_declares_its_modules_ends_the_scan_under_way(channels: int) -> None:
+    """Be they others, or the same again, as after a reboot amid a packet."""
     decoder = Decoder()
     feed(decoder, Command.DECLARE, bytes((1, 0, 4)))
     assert feed(decoder, Command.SENSOR_DATA, bytes((0, 0, 0, 1))) == []
-    feed(decoder, Command.DECLARE, bytes((1, 0, 2)))
-    old, new = feed(decoder, Command.SENSOR_DATA, bytes((0, 0, 0, 5, 0, 6)))
+    decoder.feed(cyskin.to_frames(Command.SENSOR_DATA, bytes((0, 1, 0, 2, 0, 3)), ihb=1)[0])
+    feed(decoder, Command.DECLARE, bytes((1, 0, channels)))
+    counts = list(range(5, 5 + channels))
+    data = b"".join(value.to_bytes(2) for value in counts)
+    old, new = feed(decoder, Command.SENSOR_DATA, bytes(2) + data)
     assert old.counts == (1, MISSING, MISSING, MISSING)
-    assert new.counts == (5, 6)
+    assert list(new.counts) == counts
 
 
 @settings(max_examples=100)

@@ -2,6 +2,7 @@
 
 import re
 from itertools import pairwise
+from typing import Any
 
 import pytest
 from hypothesis import example, given
@@ -56,21 +57,6 @@ def test_a_line_without_delimiters_is_bounded() -> None:
         assert reader.pending <= serial_link.MAX_ENCODED
 
 
-@example([b"x" * (slcan.MAX_LINE + 1)], [])
-@given(st.lists(st.binary(max_size=80), max_size=6), st.lists(st.integers(0, 10**6)))
-def test_the_pieces_an_slcan_line_comes_in_do_not_matter(
-    noise: list[bytes], cuts: list[int]
-) -> None:
-    """The end of a line that is too long is no frame, wherever it is cut."""
-    line = b"".join(part + slcan.encode(Frame(0.0, 0x101, b"\x01\x02")) for part in noise)
-    whole, cut = SlcanReader(), SlcanReader()
-    wanted = whole.feed(line, 0.0)
-    assert [f for piece in pieces(line, cuts) for f in cut.feed(piece, 0.0)] == wanted
-    bytewise = SlcanReader()
-    assert [f for byte in line for f in bytewise.feed(bytes((byte,)), 0.0)] == wanted
-    assert bytewise.foreign == cut.foreign == whole.foreign
-
-
 @given(st.lists(st.binary(max_size=40), max_size=10))
 def test_slcan_frames_survive_the_noise_before_them(noise: list[bytes]) -> None:
     reader = SlcanReader()
@@ -80,24 +66,27 @@ def test_slcan_frames_survive_the_noise_before_them(noise: list[bytes]) -> None:
     assert reader.feed(b"\r" + slcan.encode(frame), 0.0)[-1] == frame
 
 
-@pytest.mark.parametrize(
-    "line", [b"t1_00", b"t+1F0", b"T0x00000f0", b"tFFF0", b"TFFFFFFFF0", b"t1019", b"t1011 1"]
-)
-def test_what_only_looks_like_a_number_is_no_frame(line: bytes) -> None:
-    assert slcan.parse(line) is None
+READERS = {
+    SerialReader: lambda k: serial_link.encode(0x3B + k % 2, ihb=k),
+    SlcanReader: lambda k: slcan.encode(Frame(0.0, 0x100 + k, b"\x01\x02")),
+}
 
 
-@given(st.lists(st.binary(min_size=200, max_size=400), max_size=6), st.lists(st.integers(0, 10**6)))
-def test_the_pieces_a_line_comes_in_do_not_matter(noise: list[bytes], cuts: list[int]) -> None:
-    """Packets and counters are the same however a line is cut, over-long frames included."""
-    line = b"".join(noise) + serial_link.encode(0x3B, ihb=1) + serial_link.encode(0x3C, ihb=2)
-    whole, cut = SerialReader(), SerialReader()
-    wanted = whole.feed(line, 0.0)
-    assert [p for piece in pieces(line, cuts) for p in cut.feed(piece, 0.0)] == wanted
-    bytewise = SerialReader()
-    assert [p for byte in line for p in bytewise.feed(bytes((byte,)), 0.0)] == wanted
-    assert bytewise.counters == whole.counters
-    assert cut.counters == whole.counters
+@pytest.mark.parametrize("kind", READERS)
+@example([b"x" * (slcan.MAX_LINE + 1)], [])
+@given(st.lists(st.binary(max_size=400), max_size=6), st.lists(st.integers(0, 10**6)))
+def test_the_pieces_a_line_comes_in_do_not_matter(
+    kind: Any, noise: list[bytes], cuts: list[int]
+) -> None:
+    """What is read and counted is the same; the end of a line that is too long is no frame,
+    wherever it is cut."""
+    line = b"".join(part + READERS[kind](k) for k, part in enumerate(noise))
+    found = []
+    for cut in ([line], pieces(line, cuts), [bytes((byte,)) for byte in line]):
+        reader = kind()
+        got = [one for piece in cut for one in reader.feed(piece, 0.0)]
+        found.append((got, getattr(reader, "foreign", 0), getattr(reader, "counters", 0)))
+    assert found[0] == found[1] == found[2]
 
 
 FRAMES = st.builds(
@@ -125,13 +114,6 @@ def test_stamps_of_none_four_or_eight_digits_also_mixed_leave_the_data_as_it_is(
     assert got == [frame for frame, _ in sent]
 
 
-@pytest.mark.parametrize("digits", [1, 2, 3, 5, 6, 7, 9, 10, 12, 16])
-def test_digits_that_are_no_stamp_are_damage(digits: int) -> None:
-    for line in (b"t1012AABB", b"T17FFFFFF0", b"t1018" + b"A5" * 8):
-        assert slcan.parse(line) is not None
-        assert slcan.parse(line + b"0" * digits) is None
-
-
 REMOTE = [b"r1010", b"r7FF8", b"r10181A2B", b"r10180001A2B3", b"R17FFFFFF0", b"R000000008FFFF"]
 NOISE = [b"r101", b"r1019", b"r8000", b"R2000000008", b"r101812", b"s12"]
 
@@ -153,19 +135,37 @@ def test_answers_are_no_frames_and_a_refusal_ends_a_line_as_well() -> None:
     assert slcan.split(b"\r\at1010\a")[0] == [b"", b"\a", b"t1010\a"]
 
 
-LINE = re.compile(rb"t([0-7][0-9A-Fa-f]{2})([0-8])((?:[0-9A-Fa-f]{2})*)")
+LINE = re.compile(
+    rb"(?:t(?P<short>[0-7][0-9A-Fa-f]{2})|T(?P<long>[01][0-9A-Fa-f]{7}))"
+    rb"(?P<length>[0-8])(?P<rest>(?:[0-9A-Fa-f]{2})*)"
+)
+LINES = [b"t1_00", b"t+1F0", b"T0x00000f0", b"tFFF0", b"TFFFFFFFF0", b"t1019", b"t1011 1"]
+STAMPED = [
+    line + b"0" * digits
+    for line in (b"t1012AABB", b"T17FFFFFF0", b"t1018" + b"A5" * 8)
+    for digits in (*range(13), 16)
+]
 
 
+def examples(test: Any) -> Any:
+    for line in (*LINES, *STAMPED):
+        test = example(line)(test)
+    return test
+
+
+@examples
 @given(
     st.one_of(
-        st.from_regex(rb"t[0-9A-Fa-f]{3}[0-9][0-9A-Fa-f]{0,20}", fullmatch=True),
+        st.from_regex(rb"(t[0-9A-Fa-f]{3}|T[0-3][0-9A-Fa-f]{7})[0-9][0-9A-Fa-f]{0,20}\Z"),
         st.text("t0178Aa +_x\a-", max_size=24).map(lambda text: b"t" + text.encode()),
     )
 )
-def test_a_line_of_a_short_id_is_a_frame_only_if_it_is_one_to_the_letter(line: bytes) -> None:
+def test_a_line_is_a_frame_only_if_it_is_one_to_the_letter(line: bytes) -> None:
+    """Digits that are no stamp are damage, as is what only looks like a number."""
     frame, match = slcan.parse(line, 1.5), LINE.fullmatch(line.removesuffix(b"\a"))
-    is_frame = match is not None and len(match[3]) // 2 - int(match[2]) in slcan.STAMP_BYTES
-    assert (frame is not None) == is_frame
+    rest = match and len(match["rest"]) // 2 - int(match["length"])
+    assert (frame is not None) == (rest in slcan.STAMP_BYTES)
     if frame is not None and match is not None:
-        data = bytes.fromhex(match[3].decode())[: int(match[2])]
-        assert frame == Frame(1.5, int(match[1], 16), data)
+        data = bytes.fromhex(match["rest"].decode())[: int(match["length"])]
+        number = int(match["short"] or match["long"], 16)
+        assert frame == Frame(1.5, number, data, extended=match["long"] is not None)
