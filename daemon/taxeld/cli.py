@@ -67,9 +67,8 @@ def _record(args: argparse.Namespace) -> int:
 
 
 def _init(args: argparse.Namespace) -> int:
-    """Write a configuration with a comment on each key; asks what is not given as an option.
+    """Write a configuration with a comment on each key.
 
-    taxeld init can0.toml
     taxeld init can0.toml --source can:can0 --bundle box --poses tcp://127.0.0.1:9874
     """
     from taxeld.commands import init
@@ -140,9 +139,9 @@ def _calibrate(args: argparse.Namespace) -> int:
 
 
 def _layout(args: argparse.Namespace) -> int:
-    """Describe the layout of a skin in words and as a picture.
+    """Describe the layout of a skin.
 
-    taxeld layout cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015 --png skin.png
+    taxeld layout cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015
     taxeld layout skin.json
     """
     from taxeld.commands.layout import next_command, summary
@@ -150,13 +149,6 @@ def _layout(args: argparse.Namespace) -> int:
 
     skin = layouts.read(args.layout)
     print("\n".join([*summary(skin), *next_command(args.layout, skin)]))
-    if args.png:
-        from taxeld.layout.draw import draw
-
-        try:
-            draw(skin, args.png)
-        except OSError as error:
-            raise SetupError(f"--png: cannot write {args.png} ({error.strerror})") from None
     return 0
 
 
@@ -261,6 +253,7 @@ def _flag(name: str, about: str) -> Argument:
 
 CONFIG = _given("config", "CONFIG", "a configuration", Path)
 DAEMON_ABOUT = "of a daemon (default: of the service, or of this user)"
+SOURCE_ABOUT = "can:can0, slcan:DEVICE, serial:DEVICE or array:ENDPOINT"
 DAEMON = _given("daemon", "CONFIG|ENDPOINT", DAEMON_ABOUT, nargs="?", default="")
 OF_SESSION = _given("--config", "CONFIG", "in place of the session's own config.toml", Path)
 USUAL_SD = (0.02, 0.02, 0.2)
@@ -268,11 +261,10 @@ USUAL_SD = (0.02, 0.02, 0.2)
 COMMANDS: dict[Run, tuple[Argument, ...]] = {
     _init: (
         _given("config", "CONFIG", "a new file", Path),
-        _given("--source", "SOURCE", "can:can0, slcan:DEVICE, serial:DEVICE or array:ENDPOINT"),
-        _given("--bundle", "OBJECT", "box, drill, mug or a directory; '' for the skin alone"),
-        _given("--layout", "LAYOUT", "the skin's (default: what the bundle was built for)"),
-        _given("--poses", "ENDPOINT", "where the robot publishes; '' if the sensor is fixed"),
-        _given("--where", "X Y HALF", "the square, about X Y, of the object [m] (0 0 0.5)"),
+        _given("--source", "SOURCE", SOURCE_ABOUT, default=""),
+        _given("--bundle", "OBJECT", "box, drill, mug or a directory (the skin alone)", default=""),
+        _given("--layout", "LAYOUT", "the skin's (what the bundle was built for)", default=""),
+        _given("--poses", "ENDPOINT", "where the robot publishes (no robot)", default=""),
     ),
     _run: (CONFIG, _given("--record", "DIR", "also record a session into this new one", Path)),
     _check: (CONFIG,),
@@ -293,10 +285,7 @@ COMMANDS: dict[Run, tuple[Argument, ...]] = {
         _given("--object", "X Y YAW", "its pose, if known, in the world [m, m, rad]", float),
         OF_SESSION,
     ),
-    _layout: (
-        _given("layout", "LAYOUT", "cylinder:… or wrap:…, or a .json or .csv file"),
-        _given("--png", "OUT", "draw it, unrolled and cut across", Path),
-    ),
+    _layout: (_given("layout", "LAYOUT", "cylinder:… or wrap:…, or a .json or .csv file"),),
     _status: (DAEMON, _flag("--json", "the whole answer as JSON")),
     _tare: (DAEMON,),
     _reset: (DAEMON,),

@@ -86,7 +86,7 @@ def _say_next(scenario: "Scenario", out: Path) -> None:
     _say(f"see it: {shlex.join([program, 'view', str(out)])}")
     if scenario.links > 1:
         return  # their configuration is in the session
-    given = ["--bundle", scenario.bundle]
+    given = ["--source", "can:can0", "--bundle", scenario.bundle]
     if scenario.layout:
         given += ["--layout", scenario.layout]
     _say(f"next: {shlex.join([program, 'init', 'robot.toml', *given])}")

@@ -133,7 +133,7 @@ def of_another_skin(box: Path) -> None:
         (about(layout=[]), "layout: must be a table, not []"),
         (about(lambda info: info["layout"].pop("digest")), "layout.digest: is required"),
         (about(layout={"name": "wrap", "digest": "77"}), "box is for the layout wrap (77), not fo"),
-        (about(samplers={}), "samplers: must be a list, not {}"),
+        (about(samplers={}), "samplers: must be a list of tables ([[samplers]] in TOML), not {}"),
         (sampler("kind", "magic"), "samplers[0].kind: must be one of density, ddpm, not 'magic'"),
         (sampler("file", "other.onnx"), "files has no SHA-256 of 'other.onnx'"),
         (about(files={}), "no SHA-256 of 'scene.npz'"),

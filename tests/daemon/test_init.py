@@ -1,11 +1,8 @@
 """`taxeld init`: what it writes is complete, and is what `taxeld check` takes."""
 
 import os
-import pty
 import re
 import shutil
-import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -21,7 +18,6 @@ from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 from taxeld.source.sources import live
 from tests.rig.commands import printed, refused
-from tests.rig.processes import read_all
 
 FLAGS = ["--source", "slcan:{device}", "--bundle", "box", "--poses", "tcp://127.0.0.1:9874"]
 
@@ -40,15 +36,13 @@ def test_what_is_written_from_options_is_fine(
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = tmp_path / "skin.toml"
-    where = "--where", "0.84", "-0.1", "0.4"
-    assert printed("init", path, *flags, *where).endswith(f"; next: taxeld check {path}\n")
+    assert printed("init", path, *flags).endswith(f"; next: taxeld check {path}\n")
     assert printed("check", path).startswith(f"{path}: fine")
     assert "must stand upright, its axis within 0.1 rad of vertical" in path.read_text()
     config = parse(path.read_text(encoding="utf-8"))
     assert (config.source.kind, config.source.interface) == ("can", "slcan")
     assert config.source.channel == str(tmp_path / "ttyACM0")
     assert config.sensor_pose.endpoint == "tcp://127.0.0.1:9874"
-    assert (config.filter.centre_m, config.filter.half_width_m) == ((0.84, -0.1), 0.4)
 
 
 def test_a_skin_too_large_for_the_usual_period_gets_one_that_the_bus_carries(
@@ -66,7 +60,7 @@ def test_the_depth_is_that_of_the_bundle(tmp_path: Path) -> None:
     box = Path(shutil.copytree(bundle.find("box"), tmp_path / "box")) / "bundle.json"
     box.write_text(re.sub(r'"depth_max_m": [0-9.]+', '"depth_max_m": 0.003', box.read_text()))
     written = tmp_path / "skin.toml"
-    printed("init", written, "--source", "can:can0", "--bundle", box.parent, "--poses", "")
+    printed("init", written, "--source", "can:can0", "--bundle", box.parent)
     config = load(written)
     assert config.skin.full_scale_depth_m == 0.003
     loaded = bundle.load(config.scene.bundle, layouts.load(config.skin.layout), 0.003)
@@ -107,15 +101,11 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, flags: list[str
         (["--source", "usb0"], "--source: 'usb0' is no connection; use can:can0, slcan:"),
         (["--bundle", "n" * 5000], "scene.bundle: no bundle 'nnnn"),
         (["--layout", "cylinder:rowz=5"], "skin.layout: cylinder: rowz: unknown key; did you"),
-        (
-            ["--where", "0.8", "left", "1"],
-            "--where: '0.8 left 1' is no X Y HALF in metres, as 0.8 0",
-        ),
-        (["--where", "0", "0", "-1"], "filter.half_width_m: "),
+        (["--source", ""], "--source: '' is no connection; use can:can0, slcan:"),
         (["--poses", "tcp://robot:1"], "sensor_pose.endpoint: 'tcp://robot:1' is not local"),
     ],
 )
-def test_an_answer_that_cannot_be_used_is_one_line_and_nothing_is_written(
+def test_an_option_that_cannot_be_used_is_one_line_and_nothing_is_written(
     tmp_path: Path, flags: list[str], change: list[str], line: str
 ) -> None:
     path = tmp_path / "skin.toml"
@@ -123,10 +113,13 @@ def test_an_answer_that_cannot_be_used_is_one_line_and_nothing_is_written(
     assert not path.exists()
 
 
-def test_without_a_terminal_what_is_missing_is_named(tmp_path: Path) -> None:
-    assert refused("init", tmp_path / "skin.toml", "--bundle", "box").startswith(
-        "--source: is required where nobody can be asked; "
-    )
+def test_the_layout_of_a_bundle_that_was_built_for_a_file_is_to_be_named(
+    tmp_path: Path, flags: list[str]
+) -> None:
+    box = Path(shutil.copytree(bundle.find("box"), tmp_path / "box")) / "bundle.json"
+    box.write_text(re.sub(r'"name": "cylinder:[^"]*"', '"name": "patch"', box.read_text()))
+    line = refused("init", tmp_path / "skin.toml", *flags, "--bundle", box.parent)
+    assert line.startswith("--layout: name the file of patch, for which ")
 
 
 def test_a_bundle_is_named_as_seen_from_the_configuration(
@@ -137,22 +130,3 @@ def test_a_bundle_is_named_as_seen_from_the_configuration(
     monkeypatch.chdir(tmp_path / "elsewhere")
     printed("init", "../skin.toml", *flags, "--bundle", tmp_path / "bracket")
     assert '\nbundle = "bracket"\n' in (tmp_path / "skin.toml").read_text(encoding="utf-8")
-
-
-def test_a_terminal_is_asked_what_the_options_leave_open(tmp_path: Path) -> None:
-    path = tmp_path / "skin.toml"
-    ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "taxeld.cli", "init", str(path)]
-    with subprocess.Popen(command, stdin=theirs, stderr=theirs, stdout=subprocess.PIPE) as asking:
-        os.write(ours, b"serial:/dev/ttyACM7\nmug\n\n0.8, 0.1, 0.3\n")
-        said, _ = asking.communicate(timeout=60)
-    os.close(theirs)
-    asked = read_all(ours)
-    assert asking.returncode == 0, asked
-    assert said.startswith(b"written: ")
-    assert asked.count("the skin's connection, can:can0") == 1
-    config = parse(path.read_text(encoding="utf-8"))
-    assert config.source.channel == "/dev/ttyACM7"
-    assert config.scene.bundle == "mug"
-    assert not config.sensor_pose.endpoint
-    assert (config.filter.centre_m, config.filter.half_width_m) == ((0.8, 0.1), 0.3)

@@ -10,7 +10,7 @@ import msgpack
 import pytest
 import zmq
 
-from taxeld.door.robot import as_pose
+from taxeld.door.heard import as_pose
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.freshness import Why
 from taxeld.stream import client, topics, values

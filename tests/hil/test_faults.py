@@ -299,7 +299,7 @@ def test_faults_of_a_scenario_are_named_by_their_place(tmp_path: Path) -> None:
         with pytest.raises(SetupError, match=expected):
             FakeRun(scenario.load(str(path)), 0)
     path.write_text('bundle = "box"\nfault = 3\n')
-    with pytest.raises(SetupError, match="fault: must be a list, not 3"):
+    with pytest.raises(SetupError, match=r"^fault: must be a list of tables \(\[\[fault\]\] in T"):
         scenario.load(str(path))
 
 

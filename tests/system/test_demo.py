@@ -37,7 +37,7 @@ def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path
     assert lines[-3].split(":")[0] in ("passed", "failed")
     assert lines[-2:] == [
         f"see it: taxeld view {ran[0]}",
-        "next: taxeld init robot.toml --bundle box",
+        "next: taxeld init robot.toml --source can:can0 --bundle box",
     ]
 
 

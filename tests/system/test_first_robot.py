@@ -13,7 +13,7 @@ from typing import NamedTuple
 import pytest
 import zmq
 
-from taxeld.door.robot import as_pose
+from taxeld.door.heard import as_pose
 from taxeld.layout import read as layouts
 from taxeld.stream import topics
 from tests.rig.skins import table_of
@@ -138,7 +138,7 @@ def test_from_a_layout_to_a_graded_run_each_command_is_printed_by_the_one_before
     init = said[-1].removeprefix("next: ")
     for command in (
         f"{said[-2].removeprefix('see it: ')} --save seen.rrd",
-        f"{init} --source can:nothing0 --poses ''",
+        init.replace("can:can0", "can:nothing0"),
     ):
         done = follow(command, tmp_path)
         assert done.returncode == 0, done.stderr

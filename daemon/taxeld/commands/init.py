@@ -1,8 +1,7 @@
-"""`taxeld init`: a configuration with every key explained, from options; questions ask the rest."""
+"""`taxeld init`: a configuration with every key explained, from options."""
 
 import json
 import os
-import sys
 from collections.abc import Mapping
 from dataclasses import MISSING
 from pathlib import Path
@@ -10,7 +9,6 @@ from typing import Any, get_type_hints
 
 from taxeld.config import file as config_file
 from taxeld.config import gate
-from taxeld.config.gate import ConfigError
 from taxeld.config.tables import Config, SkinConfig, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import generated
@@ -27,24 +25,13 @@ SOURCES = {  # connection as named by `taxeld-hil accept` → keys of [source]
     "array": {"kind": "array"},
 }
 FORMS = "can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0 or array:ENDPOINT"
-QUESTIONS = {  # by option
-    "source": f"the skin's connection, {FORMS}",
-    "bundle": "the object: box, drill, mug, or the directory of a bundle; empty for the skin alone",
-    "layout": "the skin's layout, as the bundle was built for",
-    "poses": "where the robot publishes the sensor's pose, tcp://HOST:PORT; empty if the sensor "
-    "stands still",
-    "where": "where the object can be in the world: X Y HALF, the middle of a square and half its "
-    "width in metres; empty for 0 0 0.5",
-}
-OPTIONAL = ("poses", "where")  # these may stay without an answer
 
 
 def write(path: Path, options: Mapping[str, Any]) -> Config:
-    """Write the configuration of the options of `QUESTIONS`; a person at the terminal is asked for
-    those that are None.
+    """Write the configuration that follows from the options of the command.
 
     Raises:
-        SetupError: an answer is missing or cannot be used, or the file exists already.
+        SetupError: an option is missing or cannot be used, or the file exists already.
     """
     if os.path.lexists(path):
         raise SetupError(f"{path}: is there already and is not overwritten; name another file")
@@ -84,19 +71,19 @@ def _toml(value: object) -> str:
 
 
 def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
-    """The keys that follow from the options and the answers."""
-    source = _source(_answer(options, "source"))
-    named = _answer(options, "bundle")
-    depth_m, own = SkinConfig().full_scale_depth_m, ""
+    """The keys that follow from the options."""
+    source, named, layout = _source(options["source"]), options["bundle"], options["layout"]
+    usual = SkinConfig()
+    depth_m, built_for = usual.full_scale_depth_m, usual.layout
     if named:
         built = bundle.manifest_of(named)  # refuses a directory that is no bundle
-        depth_m = built.depth_max_m
-        own = built.layout.name if ":" in built.layout.name else ""  # a file's name finds no file
-    layout = options["layout"] or own or _answer(options, "layout")
+        depth_m, built_for = built.depth_max_m, built.layout.name
+    if not layout and ":" not in built_for:
+        raise SetupError(f"--layout: name the file of {built_for}, for which {named} was built")
+    layout = layout or built_for
     placed = layouts.load(layout)
-    poses = _answer(options, "poses")
     skin: dict[str, Any] = {"layout": layout if generated.parse(layout) else _from(path, layout)}
-    if depth_m != SkinConfig().full_scale_depth_m:
+    if depth_m != usual.full_scale_depth_m:
         skin["full_scale_depth_m"] = depth_m
     planned = SourceConfig(**source)
     least_ms = 0 if planned.kind == "array" else least_period_ms(planned, placed)
@@ -106,36 +93,8 @@ def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
         "scene": {"bundle": _from(path, named)} if named else {},
         "source": source,
         "skin": skin,
-        "sensor_pose": {"endpoint": poses} if poses else {},
-        "filter": _square(_answer(options, "where")) if named else {},
+        "sensor_pose": {"endpoint": options["poses"]} if options["poses"] else {},
     }
-
-
-def _answer(options: Mapping[str, Any], option: str) -> str:
-    """An option's value, or the answer of a person at the terminal."""
-    if (given := options[option]) is not None:
-        return given if isinstance(given, str) else " ".join(given)
-    question = QUESTIONS[option]
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        if option in OPTIONAL:
-            return ""
-        raise SetupError(f"--{option}: is required where nobody can be asked; {question}")
-    sys.stderr.write(f"{question}: ")
-    sys.stderr.flush()
-    line = sys.stdin.readline()
-    if not line:
-        raise ConfigError(["taxeld init: the questions were not answered; nothing is written"])
-    return line.strip()
-
-
-def _square(text: str) -> dict[str, Any]:
-    if not text:
-        return {}
-    try:
-        x, y, half = map(float, text.replace(",", " ").split())
-    except ValueError:
-        raise SetupError(f"--where: '{text}' is no X Y HALF in metres, as 0.8 0 0.4") from None
-    return {"centre_m": (x, y), "half_width_m": half}
 
 
 def _source(text: str) -> dict[str, Any]:

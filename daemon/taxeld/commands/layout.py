@@ -26,7 +26,7 @@ def summary(layout: Layout) -> list[str]:
     }
     if math.isinf(layout.radius_m):
         facts |= {
-            "cylinder": f"none ({layout.no_cylinder}); it can be drawn but not run",
+            "cylinder": f"none ({layout.no_cylinder}); no daemon runs it",
             "size": f"{width:.1f} × {depth:.1f} × {height:.1f} mm along x, y, z",
         }
     else:

@@ -165,7 +165,7 @@ def value(kind: Any, given: Any, faults: list[str], path: str, more: bool = Fals
         case _:
             fits = False
     if not fits:
-        faults.append(one_line(f"{path}: must be {_described(kind)}, not {_shown(given)}"))
+        faults.append(one_line(f"{path}: must be {_described(kind, path)}, not {_shown(given)}"))
     return given if fits else None
 
 
@@ -174,9 +174,11 @@ def _hints(cls: type) -> dict[str, Any]:
     return get_type_hints(cls)
 
 
-def _described(kind: Any) -> str:
+def _described(kind: Any, path: str) -> str:
     if get_origin(kind) is tuple:
         of = get_args(kind)
+        if is_dataclass(of[0]):
+            return f"a list of tables ([[{path}]] in TOML)"
         return "a list" if of[-1] is ... else f"a list of {len(of)}"
     return WORDS.get(kind, "a table")
 

@@ -18,7 +18,7 @@ from taxeld.config import endpoints
 from taxeld.door import settings as limits
 from taxeld.door.binding import NotNowError, bound
 from taxeld.door.control import Control, MayChange, for_members, packed_error, packed_ok
-from taxeld.door.robot import Array, Pose, Robot
+from taxeld.door.heard import Array, Pose, Robot
 from taxeld.door.settings import REFUSED, Settings
 from taxeld.door.streams import Streams
 from taxeld.errors import SetupError

@@ -47,7 +47,7 @@ def load(spec: str) -> Layout:
         raise SetupError(
             f"skin.layout: {layout.name}: its {len(layout)} taxels lie on no cylinder "
             f"({layout.no_cylinder}); a run needs the skin of a round link: name its file, or mark "
-            "as missing what lies elsewhere (taxeld layout --png draws it)"
+            "as missing what lies elsewhere"
         )
     return layout
 

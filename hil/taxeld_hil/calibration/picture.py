@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from taxeld.arrays import Floats
-from taxeld.layout.draw import plane
 from taxeld.model import se2
 from taxeld.model.response import GRID, response
 from taxeld_hil.calibration.calibrate import Result
@@ -41,7 +40,7 @@ def draw(result: Result, out: Path) -> None:
 
 def _map(axes: Axes, result: Result, value: Floats, title: str) -> None:
     layout = result.observed.model.layout
-    x, y = plane(layout.position_m, layout.radius_m)
+    x, y = 1e3 * layout.unrolled_m
     axes.scatter(x, y, c="0.8", s=18)
     dots = axes.scatter(x, y, c=value, s=18, cmap="viridis")
     axes.figure.colorbar(dots, ax=axes, shrink=0.8).ax.tick_params(labelsize=7)

@@ -16,13 +16,13 @@ from taxeld.arrays import Floats, Poses
 from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.errors import SetupError, WorkError
 from taxeld.estimator.estimate import Estimate, Status
-from taxeld.layout.draw import MM, plane
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.scene import Scene
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.source import session
 
+MM = 1e3
 DPI, NUMBERS, WORDS = 110, 7, 8  # dots per inch; sizes of letters
 SPAN = 2.6  # sizes of the object that are shown to each side of it
 TRUTH: dict[str, Any] = {"label": "object, true", "color": "black", "lw": 1.2}
@@ -138,7 +138,7 @@ def _from_above(
 
 def _unrolled(axis: Axes, scan: DrawnScan, skin: Layout) -> None:
     """The pressed taxels on the unrolled skin."""
-    x, z = plane(skin.position_m, skin.radius_m)
+    x, z = MM * skin.unrolled_m
     pressed = scan.z > 0.0
     axis.scatter(x, z, s=10, color="0.85")
     axis.scatter(x[pressed], z[pressed], c=scan.z[pressed], s=26, **TAXELS)

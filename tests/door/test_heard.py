@@ -10,7 +10,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from taxeld.door.robot import REASON_MAX, as_pose
+from taxeld.door.heard import REASON_MAX, as_pose
 
 from ..rig.processes import program
 from . import attacks
