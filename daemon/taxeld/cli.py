@@ -101,10 +101,8 @@ def _decode(args: argparse.Namespace) -> int:
     taxeld decode --config can0.toml session/frames.log
     """
     from taxeld.commands.decode import decode, of_session
-    from taxeld.source.modules import ListedModules
 
-    modules = load(args.config).source.modules if args.config else of_session(args.log)
-    listed = ListedModules(modules) if args.config or modules else None
+    listed = load(args.config).source.modules if args.config else of_session(args.log)
     for line in decode(args.log, listed):
         print(line)
     return 0

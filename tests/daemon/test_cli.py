@@ -13,6 +13,8 @@ from tests.rig.recorded import golden, write_golden
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
 
+DECLARED = "501#3C0301000C8C"  # one module of 12 channels
+
 
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
@@ -22,11 +24,11 @@ def place(tmp_path: Path) -> Path:
 
 def test_decode_of_the_golden_frames_reads_10000_to_10011(tmp_path: Path) -> None:
     log = tmp_path / "golden.log"
-    log.write_text("\n".join(["5FF#3C00D2", *GOLDEN_SCAN]) + "\n", encoding="ascii")
+    log.write_text("\n".join(["5FF#3C00D2", *GOLDEN_SCAN, DECLARED]) + "\n", encoding="ascii")
     scan, stats = map(json.loads, printed("decode", log).splitlines())
     assert scan == {"t": 0.0, "ihb": 1, "modules": [list(range(10000, 10012))]}
-    assert stats["stats"]["frames"] == 5
-    assert stats["stats"]["packets"] == 2
+    assert stats["stats"]["frames"] == 6
+    assert stats["stats"]["packets"] == 3
     assert stats["stats"]["scans"] == 1
 
 
@@ -51,13 +53,14 @@ def test_decode_loses_only_what_is_damaged_and_counts_every_frame(tmp_path: Path
         "18DAF110#0102",
         "not a frame",
         *GOLDEN_SCAN,
+        DECLARED,
     ]
     log = tmp_path / "damaged.log"
     log.write_text("\n".join(damage) + "\n(17000", encoding="ascii")
     *scans, last = map(json.loads, printed("decode", log).splitlines())
     stats = last["stats"]
     assert [scan["modules"][0] for scan in scans] == [list(range(10000, 10012))] * 2
-    assert stats["frames"] == 16
+    assert stats["frames"] == 17
     assert stats["frames"] == stats["used"] + sum(stats["dropped"].values()) + stats["pending"]
     assert stats["dropped"] == {"crc": 4, "length": 1, "orphan": 1, "foreign": 2}
     assert (stats["crc_errors"], stats["length_errors"], stats["unknown"]) == (1, 1, 2)
@@ -118,8 +121,7 @@ def test_a_session_that_is_none_or_damaged_or_whose_files_stayed_elsewhere_says_
 
 def test_decode_into_a_closed_pipe_ends_quietly(tmp_path: Path) -> None:
     log = tmp_path / "long.log"
-    declare = "501#3C0301000C8C"
-    log.write_text("\n".join([declare, *GOLDEN_SCAN * 5000]) + "\n", encoding="ascii")
+    log.write_text("\n".join([DECLARED, *GOLDEN_SCAN * 5000]) + "\n", encoding="ascii")
     ran = subprocess.run(
         f"{sys.executable} -m taxeld.cli decode {log} | head -n 1",
         shell=True,

@@ -166,20 +166,13 @@ def _frames() -> list[bytes]:
     return [(place() / "made").read_bytes()]
 
 
-def _bytes() -> list[bytes]:
-    return [(RECORDED / session.SERIAL).read_bytes()[:3000]]
-
-
 def _keys() -> list[bytes]:
     create_certificates(place(), "made")
     return [(place() / "made.key_secret").read_bytes()]
 
 
 READERS = {
-    **{
-        name: Reader(_in_file(name, lambda path: list(decode(path))), samples)
-        for name, samples in (("a.log", _frames), ("a.bin", _bytes))
-    },
+    "a.log": Reader(_in_file("a.log", lambda path: list(decode(path))), _frames),
     "configuration": Reader(
         _in_file("any.toml", load), lambda: [(ROOT / "examples" / "can0.toml").read_bytes()]
     ),

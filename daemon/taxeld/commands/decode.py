@@ -1,28 +1,56 @@
-"""`taxeld decode`: a log as JSON lines, one a scan, and then the fate of every frame."""
+"""`taxeld decode`: a log as JSON lines, one a scan, and then the fate of every frame.
+
+A log is `candump -L` text, or the `serial.bin` of a session. It is read from its beginning each
+time, and is never held in memory. A damaged line of text costs only itself.
+"""
 
 import json
 import logging
+import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import BinaryIO
 
 from taxeld.config import file as config_file
 from taxeld.config import gate
 from taxeld.config.tables import SourceConfig
-from taxeld.errors import SetupError
-from taxeld.source import logs, modules, session
-from taxeld.source.modules import ListedModules, missing
-from taxeld_protocol.cyskin import Command, Packet
+from taxeld.errors import SetupError, one_line
+from taxeld.source import modules, session
+from taxeld.source.modules import ListedModules
 from taxeld_protocol.decoder import Decoder, Scan
-from taxeld_protocol.modules import NAMES, Module
+from taxeld_protocol.frames import Chunk, Frame, parse_logged
+from taxeld_protocol.modules import Module
 
+OTHERS = (".asc", ".blf", ".csv", ".db", ".gz", ".mf4", ".trc")  # formats that python-can knows
 KNOWN = "candump -l and -L, and serial.bin are read"
 ONE = "keep those of the skin's, as by grep ' can0 ' LOG"
-HUBS_NAMED = 8  # in a line
+LINE_MAX = 8192  # bytes; a CAN XL frame, the longest, has 4 150 in candump text
+STANDARD_MAX, EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
+SHOWN = 60  # characters of a damaged line
+
+# Remote, FD and XL frames. Error frames look like data frames with an id above EXTENDED_MAX.
+_OTHER = re.compile(
+    r"(?:\(\d+\.\d+\)\s+(\S+)\s+)?[0-9A-F]{3,8}#(?:[R#]|[0-9A-F]{2}:)", re.ASCII | re.IGNORECASE
+)
 
 Listed = tuple[tuple[int, ...], ...]  # as `source.modules`
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class Damage:
+    """Damaged lines of a log: they are left out and counted, and the first is named."""
+
+    count: int = 0
+    first: str = ""
+
+    def at(self, number: int, text: str) -> None:
+        if not self.count:
+            self.first = one_line(f"line {number}: '{text.strip()[:SHOWN]}'")
+        self.count += 1
 
 
 def of_session(path: Path) -> Listed:
@@ -41,34 +69,44 @@ def of_session(path: Path) -> Listed:
     return ()
 
 
-def decode(path: Path, given: ListedModules | None = None) -> Iterator[str]:
+def decode(path: Path, listed: Listed = ()) -> Iterator[str]:
     """The log's scans and a last line {"stats": …}.
 
     A hub's module table comes from its DECLARE and DETAILS answers, wherever in the log they stand;
-    else from `given`; else full modules are assumed, as many as the hub's packets reach, which is
-    logged, and told as "assumed".
+    else it is `listed`.
 
     Raises:
-        SetupError: the log is unreadable or has no frame, or frames of several interfaces, or
-            `given` lacks a hub. Scans before that place have been yielded.
+        SetupError: the log is unreadable or has no frame, or frames of several interfaces, or no
+            hub's table is known. Scans before that place have been yielded.
     """
     if path.exists() and not path.is_file():
         raise SetupError(
             f"{path}: is no file; name a log, or of a session its frames.log or serial.bin"
         )
-
-    assumed: list[int] = []
+    given = ListedModules(listed)
 
     @cache  # needed only for a hub that streams before it has declared its modules
-    def tables() -> dict[int, Sequence[Module]]:
-        return _tables(path, given, assumed)
+    def declared() -> dict[int, Sequence[Module]]:
+        decoder = Decoder()
+        for item in _items(path, Damage()):
+            any(decoder.take([item] if item else []))
+        return {ihb: hub.table.modules for ihb, hub in decoder.hubs.items() if hub.table.declared}
 
-    damage, decoder = logs.Damage(), Decoder(lambda ihb: tables().get(ihb, ()))
-    for _, scans in _heard(path, decoder, damage):
-        yield from map(_line, scans)
+    def table_of(ihb: int) -> Sequence[Module]:
+        found = declared().get(ihb) or given.of(ihb)
+        if not (found or declared() or given):
+            raise SetupError(modules.missing(f"hub {ihb} of {path}"))
+        return found
+
+    damage, decoder = Damage(), Decoder(table_of)
+    for item in _items(path, damage):
+        if item is None:
+            decoder.drop_foreign()
+        else:
+            for _, scans in decoder.take([item]):
+                yield from map(_line, scans)
     yield from map(_line, decoder.flush())
-    stats = {**decoder.stats(), "bad_lines": damage.count, "assumed": assumed}
-    yield _json({"stats": stats})
+    yield _json({"stats": {**decoder.stats(), "bad_lines": damage.count}})
     if damage.count:
         log.warning(
             "%s: left out what is damaged or no frame (counted as %d bad_lines), at first %s",
@@ -78,55 +116,59 @@ def decode(path: Path, given: ListedModules | None = None) -> Iterator[str]:
         )
 
 
-def _heard(
-    path: Path, decoder: Decoder, damage: logs.Damage
-) -> Iterator[tuple[Packet, list[Scan]]]:
-    """Packets and scans of a log."""
+def _items(path: Path, damage: Damage) -> Iterator[Frame | Chunk | None]:
+    """A log in its order; None for a frame that carries nothing for a skin. Raises SetupError."""
+    if path.suffix.lower() in OTHERS:
+        raise SetupError(
+            f"{path}: is no candump text; make it so with "
+            f"'python3 -m can.logconvert {path} {path.stem}.log'"
+        )
+    if path.name == session.SERIAL:
+        items = (record.item for record in session.items(path.parent))
+        yield from (item for item in items if isinstance(item, Chunk))
+        return
     names: set[str] = set()
-    for name, item in logs.read(path, damage):
-        names.add(name)
-        if len(names - {""}) > 1:
-            several = ", ".join(sorted(names - {""}))
-            raise SetupError(f"{path}: has frames of several interfaces, {several}; {ONE}")
-        if item is None:
-            decoder.drop_foreign()
-        else:
-            yield from decoder.take([item])
+    try:
+        with path.open("rb") as file:
+            for name, frame in _candump(file, damage):
+                names.add(name)
+                if len(names - {""}) > 1:
+                    several = ", ".join(sorted(names - {""}))
+                    raise SetupError(f"{path}: has frames of several interfaces, {several}; {ONE}")
+                yield frame
+    except OSError as error:
+        raise SetupError(f"{path}: unreadable log ({error.strerror or error})") from None
     if not names:
         first = f" ({damage.first})" if damage.count else ""
         raise SetupError(f"{path}: has no frame{first}; {KNOWN}")
-    if logs.is_serial(path) and not decoder.line.counters.packets:
-        raise SetupError(f"{path}: has no packet of a hub's serial link")
 
 
-def _tables(
-    path: Path, given: ListedModules | None, assumed: list[int]
-) -> dict[int, Sequence[Module]]:
-    """The module table of each hub of the log; `assumed` is given the hubs whose table is."""
-    decoder = Decoder()
-    reached: dict[int, int] = {}  # hub → channels of full modules that its packets reach
-    for packet, _ in _heard(path, decoder, logs.Damage()):
-        if packet.command == Command.SENSOR_DATA and packet.payload:
-            module, channel, values = *packet.payload[:2], len(packet.payload) // 2 - 1
-            end = module * NAMES + channel + values
-            reached[packet.ihb] = max(reached.get(packet.ihb, 0), end)
-    tables: dict[int, Sequence[Module]] = {}
-    for ihb, channels in reached.items():
-        tables[ihb] = decoder.table(ihb).modules or (given.of(ihb) if given else ())
-        if given is None and not tables[ihb]:
-            tables[ihb] = [Module(NAMES)] * -(-channels // NAMES)
-            assumed.append(ihb)
-    if assumed:
-        log.warning(
-            "%s: has no DECLARE of hub %s; full modules of %d channels are assumed, so one cut "
-            "module puts values under wrong modules; name the modules with --config CONFIG",
-            path,
-            ", ".join(map(str, assumed[:HUBS_NAMED])),
-            NAMES,
-        )
-    if tables and not any(tables.values()):
-        raise SetupError(missing(f"hub {next(iter(tables))} of {path}"))
-    return tables
+def _candump(file: BinaryIO, damage: Damage) -> Iterator[tuple[str, Frame | None]]:
+    """The interface, if the log names any, and the frame of each line."""
+    for number, text in _lines(file):
+        if logged := parse_logged(text):
+            on, frame = logged
+            if frame.can_id <= (EXTENDED_MAX if frame.extended else STANDARD_MAX):
+                yield on, frame
+                continue
+            if frame.extended:
+                yield on, None
+                continue
+        elif other := _OTHER.match(text):
+            yield other[1] or "", None
+            continue
+        if not text.isspace():
+            damage.at(number, text)
+
+
+def _lines(file: BinaryIO) -> Iterator[tuple[int, str]]:
+    """Lines with their numbers from 1 on; only the beginning of a line over LINE_MAX bytes."""
+    number = 0
+    while line := file.readline(LINE_MAX):
+        number += 1
+        yield number, line.decode("latin-1")  # any byte is a character
+        while len(line) == LINE_MAX and line[-1:] != b"\n":
+            line = file.readline(LINE_MAX)
 
 
 def _line(scan: Scan) -> str:
