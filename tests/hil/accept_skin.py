@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from taxeld.arrays import Floats
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, wired
@@ -47,23 +48,28 @@ class SleepClock:
 
 
 class Counts:
-    """What the channels of some modules read; `fixed` and `pressed` make faults and touches."""
+    """What the channels of some modules read; `pressed` makes touches."""
 
-    def __init__(self, modules: Sequence[Module], seed: int = 0, noise: float = NOISE) -> None:
+    def __init__(
+        self,
+        modules: Sequence[Module],
+        noise: float | Floats = NOISE,
+        fixed: dict[tuple[int, int], int] | None = None,
+    ) -> None:
+        """`fixed`: (SUI, name) → counts, whatever happens."""
         self.names = [(m.sui, name) for m in modules for name in m.names]
-        self.noise = np.full(len(self.names), noise)
-        self.fixed: dict[tuple[int, int], int] = {}  # (SUI, name) → counts
+        self.noise = np.broadcast_to(noise, len(self.names))
+        self.fixed = fixed or {}
         self.pressed: int | None = None  # SUI of the module under the finger
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(0)
 
     def scan(self) -> list[int]:
-        rng = self._rng
+        noise = self.noise * self._rng.standard_normal(len(self.names))
         values = []
-        for (sui, name), noise in zip(self.names, self.noise, strict=True):
-            base = T0 if name == 0 else LEVEL
+        for (sui, name), off in zip(self.names, noise.tolist(), strict=True):
             press = PRESS_COUNTS * (0.4 + 0.06 * name) if name and sui == self.pressed else 0.0
-            value = base + press + noise * rng.standard_normal()
-            values.append(self.fixed.get((sui, name), round(value)))
+            value = round((LEVEL if name else T0) + press + off)
+            values.append(self.fixed.get((sui, name), value))
         return values
 
 

@@ -1,4 +1,4 @@
-"""The acceptance checks, as functions of what was received: each fault fails its own check."""
+"""The acceptance rules, as functions of what was received: a fault breaks its own rule alone."""
 
 import json
 from collections import Counter
@@ -10,27 +10,31 @@ import numpy as np
 import pytest
 
 from taxeld.layout import read as layouts
-from taxeld_hil.acceptance.accept import source_of
-from taxeld_hil.acceptance.checks import CHECKS, CheckResult
+from taxeld_hil import rules
+from taxeld_hil.acceptance import accept, checks
 from taxeld_hil.acceptance.press import pressed
 from taxeld_hil.acceptance.received import Press, Received
-from taxeld_hil.acceptance.report import AcceptanceReport
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module
 
 from .accept_skin import LAYOUT, MODULES, Counts
 
 SKIN = layouts.read(LAYOUT)
-SCANS, PERIOD_S = 200, 0.05
-FULL_SCALE = 20_000.0
-HEALTHY_LINK = Counter(frames=2400, packets=200)
+SCANS, PERIOD_S = 300, 0.05
+TIMES = 1000.0 + PERIOD_S * np.arange(SCANS)
+SPAN = (1000.0, 1000.0 + SCANS * PERIOD_S)
+LINK = Counter(frames=3600, packets=300)
+A, B, C, D = MODULES
+ALL_TAXELS = [i for i in range(44) if i % 11]  # channels, without those of T0
+
+Make = Callable[[], Received]
 
 
 def scans_of(
-    counts: Counts, modules: tuple[Module, ...] = MODULES, times: Any = None, version: int = 1
+    modules: tuple[Module, ...] = MODULES, times: Any = TIMES, version: int = 1, **counts: Any
 ) -> list[Scan]:
-    t = 1000.0 + PERIOD_S * np.arange(SCANS) if times is None else times
-    return [Scan(float(at), 1, tuple(counts.scan()), modules, version) for at in t]
+    read = Counts(modules, **counts)
+    return [Scan(float(t), 1, tuple(read.scan()), modules, version) for t in times]
 
 
 def received(scans: list[Scan] | None = None, **more: Any) -> Received:
@@ -38,270 +42,212 @@ def received(scans: list[Scan] | None = None, **more: Any) -> Received:
     healthy: dict[str, Any] = {
         "layout": SKIN,
         "period_ms": 50,
-        "full_scale_counts": FULL_SCALE,
+        "full_scale_counts": 20_000.0,
         "tables": {1: MODULES},
         "bring_up": Counter(frames=20, packets=9),
-        "link": HEALTHY_LINK,
-        "scans": scans_of(Counts(MODULES)) if scans is None else scans,
-        "span": (1000.0, 1000.0 + SCANS * PERIOD_S),
+        "link": LINK,
+        "scans": scans_of() if scans is None else scans,
+        "span": SPAN,
     }
     return Received(**{**healthy, **more})
 
 
-def judged(got: Received) -> dict[str, CheckResult]:
-    return {name: check(got) for name, check in CHECKS.items()}
-
-
 def failed(got: Received) -> dict[str, str]:
-    """The checks that fail, with all that they say."""
+    """The rules that do not hold, with all that they say."""
     return {
-        name: " | ".join(" ".join(finding) for finding in check.findings)
-        for name, check in judged(got).items()
-        if check.verdict == "failed"
+        f"{rule.check} {rule.what}": f"{rule.measured} → {rule.cure}"
+        for rule in rules.failed(checks.rules(got))
     }
 
 
-def fixed(*faults: tuple[int, int, int]) -> Callable[[], Received]:
+def counts(**given: Any) -> Make:
+    return lambda: received(scans_of(**given))
+
+
+def fixed(*faults: tuple[int, int, int]) -> Make:
     """Taxels (SUI, name) that read some counts whatever happens."""
-
-    def make() -> Received:
-        counts = Counts(MODULES)
-        counts.fixed = {(sui, name): value for sui, name, value in faults}
-        return received(scans_of(counts))
-
-    return make
+    return counts(fixed={(sui, name): value for sui, name, value in faults})
 
 
-def noise(channels: slice | int, sd: float) -> Callable[[], Received]:
-    def make() -> Received:
-        counts = Counts(MODULES)
-        counts.noise[channels] = sd
-        return received(scans_of(counts))
-
-    return make
+def noise(channels: slice | list[int] | int, sd: float) -> Make:
+    each = np.full(sum(m.channels for m in MODULES), 34.0)
+    each[channels] = sd
+    return counts(noise=each)
 
 
-def table(*modules: Module) -> Callable[[], Received]:
+def table(*modules: Module) -> Make:
     """A hub with other modules than the layout's."""
-    return lambda: received(scans_of(Counts(modules), modules), tables={1: modules})
+    return lambda: received(scans_of(modules), tables={1: modules})
 
 
-def times(change: Callable[[Any], Any]) -> Callable[[], Received]:
-    def make() -> Received:
-        t = change(1000.0 + PERIOD_S * np.arange(SCANS))
-        span = (1000.0, max(float(t[-1]), 1000.0 + SCANS * PERIOD_S))
-        return received(scans_of(Counts(MODULES), times=t), span=span)
-
-    return make
+def times(t: Any, end: float = 0.0) -> Make:
+    """Scans at times (n,), listened for until the last of them, or until `end`."""
+    return lambda: received(scans_of(times=t), span=(SPAN[0], max(float(t[-1]), end)))
 
 
-def link(**counters: int) -> Callable[[], Received]:
-    return lambda: received(link=HEALTHY_LINK + Counter(counters))
+def link(scans: int = SCANS, **counters: int) -> Make:
+    return lambda: received(scans_of(times=TIMES[:scans]), link=LINK + Counter(counters))
 
 
-def presses(*answers: int | None, counts: float = 9000.0) -> Callable[[], Received]:
+def presses(*answers: int | None, peak: float = 9000.0) -> Make:
     made = [
-        Press(asked, answered, np.full(len(SKIN), 0.0 if answered is None else counts))
+        Press(asked, answered, np.full(len(SKIN), 0.0 if answered is None else peak))
         for asked, answered in enumerate(answers, 1)
     ]
     return lambda: received(presses=made)
 
 
-def no_scans(tables: dict[int, tuple[Module, ...]], **bring_up: int) -> Callable[[], Received]:
+def silent(tables: dict[int, tuple[Module, ...]], **bring_up: int) -> Make:
+    """A skin that sends no scan."""
     return lambda: received([], tables=tables, bring_up=Counter(bring_up), link=Counter())
 
 
 def jumping_t0() -> Received:
-    scans = scans_of(Counts(MODULES))
     late = [
-        replace(s, counts=(s.counts[0] + 300, *s.counts[1:])) if i >= SCANS // 2 else s
-        for i, s in enumerate(scans)
+        replace(scan, counts=(scan.counts[0] + 300, *scan.counts[1:])) if i >= SCANS // 2 else scan
+        for i, scan in enumerate(scans_of())
     ]
     return received(late)
 
 
-A, B, C, D = MODULES
-
-FAULTS: list[tuple[str, str, Callable[[], Received]]] = [
-    # checks that fail, what the first must say, what is wrong
-    ("discovery", "nothing at all was heard", no_scans({})),
-    ("discovery", "could not be sent: 3", no_scans({}, unsent=3)),
-    ("discovery", "CAN frames: 7", no_scans({}, frames=7)),
-    ("discovery", "bytes: 40", no_scans({}, bytes=40)),
-    ("discovery", "none of them an answer to DECLARE: 7", no_scans({}, frames=7, packets=7)),
-    ("discovery", "went away: 1", no_scans({}, lost=1)),
-    ("discovery", "refused, named above: 12", no_scans({}, refused=12, unsent=3)),
-    ("discovery", "no module with a channel", no_scans({1: (Module(0),)})),
-    ("discovery modules", "positions 1", no_scans({1: (A, Module(11), C, D)}, packets=4)),
-    ("discovery", "sent no scan", no_scans({1: MODULES}, packets=9)),
-    ("discovery", "acknowledges: 3 see that the skin", no_scans({}, bus_no_ack=3, unsent=9)),
+HUBS, SILENT, DETAILS = (
+    "discovery hubs",
+    "sent no scan after auto sync",
+    "without a module's details",
+)
+OF_LAYOUT, MORE, OTHER = "modules of the layout", "modules not in the layout", "with other taxels"
+EVENNESS, MISSED, DAMAGE = "rate evenness of hub 1", "rate missed by hub 1", "link damage"
+FAULTS: list[tuple[str, str, Make]] = [
+    # rules that do not hold, what the first says, what is wrong
+    (HUBS, "nothing at all was heard → check that the hub has power", silent({})),
+    (HUBS, "could not be sent: 3 → check that the hub has power", silent({}, unsent=3)),
+    (HUBS, "CAN frames: 7 → check the target's kind", silent({}, frames=7)),
+    (HUBS, "bytes: 40 → check the target's kind", silent({}, bytes=40)),
+    (HUBS, "an answer to DECLARE: 7, CAN frames: 7 → stop", silent({}, frames=7, packets=7)),
+    (HUBS, "went away: 1 → check the adapter", silent({}, lost=1)),
+    (HUBS, "named above: 12, requests", silent({}, refused=12, unsent=3)),
+    (HUBS, "acknowledges: 3 → see that the skin", silent({}, bus_no_ack=3, unsent=9)),
+    (HUBS, "errors: 1, error-passive", silent({}, bus_off=1, bus_passive=1)),
+    (f"discovery {SILENT}", "hub 1 → switch", silent({1: MODULES}, packets=9)),
+    (f"discovery {SILENT}", "hub 2 →", lambda: received(tables={1: (A, B, C), 2: (D,)})),
+    (f"discovery {SILENT}|{OF_LAYOUT}", "hub 1 → switch", silent({1: (A, C, D)}, packets=9)),
+    (f"discovery {DETAILS}", "nothing of a module", silent({1: (Module(0),)})),
+    (f"discovery {DETAILS}|{OF_LAYOUT}", "positions 1", silent({1: (A, Module(11), C, D)})),
+    (OF_LAYOUT, "3 of 4 answered; 2 did not, so 10 taxels", table(A, C, D)),
+    (MORE, "module 9 (hub 1, position 4)", table(*MODULES, replace(A, sui=9))),
+    (f"{OF_LAYOUT}|{MORE}", "4 did not", table(A, B, C, replace(D, sui=9))),
+    ("modules with one serial number", "position 3), 2 times", table(A, B, C, D, D)),
+    (f"modules {OTHER}", "out T9, T10", table(replace(A, mask=0x1FF, channels=9), B, C, D)),
+    (f"modules {OTHER}", "no T0", table(A, replace(B, mask=0x7FE, channels=10), C, D)),
     (
-        "discovery",
-        "bus-off, after too many errors: 1 check",
-        no_scans({}, bus_off=1, bus_passive=1),
+        f"modules {OTHER}",
+        "which taxel is which is not known; set its mask",
+        table(A, B, C, replace(D, channels=10, mask=0x7FF)),
     ),
-    ("link", "not read in time: 2 run as", link(bus_unread=2)),
-    (
-        "discovery",
-        "hub 2 answers, but sent no scan",
-        lambda: received(tables={1: (A, B, C), 2: (D,)}),
-    ),
-    ("modules", "module 2 did not answer; 10 taxels", table(A, C, D)),
-    ("modules", "module 9 (hub 1, position 4)", table(*MODULES, replace(A, sui=9))),
-    ("modules", "4 did not answer", table(A, B, C, replace(D, sui=9))),
-    ("modules", "2 modules answer", table(A, B, C, D, D)),
-    ("modules", "leaves out T9, T10", table(replace(A, mask=0x1FF, channels=9), B, C, D)),
-    ("modules", "no T0", table(A, replace(B, mask=0x7FE, channels=10), C, D)),
-    ("modules", "which taxel is which", table(A, B, C, replace(D, channels=10, mask=0x7FF))),
-    ("rate", "80.0 ms, where 50", times(lambda t: 1000.0 + 1.6 * (t - 1000.0))),
-    ("rate", "any other host", times(lambda t: 1000.0 + 0.5 * (t - 1000.0))),
-    ("rate", "off its time", times(lambda t: t + 0.014 * (np.arange(len(t)) % 7 == 0))),
-    ("rate", "10 of 200 scans", times(lambda t: np.delete(t, range(30, 130, 10)))),
-    ("rate", "scans did not come", times(lambda t: t[:100])),
-    ("rate", "fewer than 10", lambda: received(scans_of(Counts(MODULES))[:5])),
-    ("link", "wrong checksum: 1", link(crc_errors=1)),
-    ("link", "wrong length: 2", link(length_errors=2)),
-    ("link", "short id", link(index_errors=3)),
-    ("link", "command does not allow", link(malformed=1)),
-    ("link", "could not decode", link(noise=1)),
-    ("link", "without the beginning", link(orphan=40)),
-    ("link", "went away: 2", link(lost=2)),
-    (
-        "link",
-        "fell silent: 1",
-        lambda: received(scans_of(Counts(MODULES))[:100], link=HEALTHY_LINK + Counter(silences=1)),
-    ),
-    (
-        "link",
-        "went away",
-        lambda: received(scans_of(Counts(MODULES))[:100], link=HEALTHY_LINK + Counter(lost=1)),
-    ),
-    ("noise", "T5 of module 1 (hub 1, position 0)", noise(5, 500.0)),
-    ("noise", "the whole module", noise(slice(12, 22), 500.0)),
-    ("noise", "T1, T2, T3, T4, T5, T6, T7, T8, T9, T10 of module 4", noise(slice(0, 44), 1500.0)),
-    ("taxels", "T4 of module 3 (hub 1, position 2) dead: reads 0", fixed((3, 4, 0))),
-    ("taxels", "T2, T7 of module 1", fixed((1, 2, 0), (1, 7, 0))),
-    ("taxels", "the whole module fails", fixed(*((2, name, 0) for name in range(1, 11)))),
-    ("taxels", "saturated: reads 43000 or more in 100 %", fixed((4, 1, 43_000))),
-    ("taxels", "stuck: reads 10123 without a count", fixed((4, 10, 10_123))),
-    ("temperature", "T0 of module 2 (hub 1, position 1)", fixed((2, 0, 0))),
-    ("temperature", "43000 and more, in 100 %", fixed((2, 0, 0xFFFF))),
-    ("temperature", "jumped by", jumping_t0),
-    ("press", "modules 2 and 4 answer for each other", presses(1, 4, 3, 2)),
-    ("press", "module 3 answered when it was pressed", presses(2, 3, 1, 4)),
-    ("press", "module 3 (hub 1, position 2) nothing was felt", presses(1, 2, None, 4)),
-    ("press", "modules 1, 2, 3, 4 felt 900 counts", presses(1, 2, 3, 4, counts=900.0)),
+    ("rate hub 1", "80.0 ms → ask for fewer", times(1000.0 + 1.6 * (TIMES - 1000.0))),
+    ("rate hub 1", "25.0 ms → stop any other host", times(1000.0 + 0.5 * (TIMES - 1000.0))),
+    (EVENNESS, "14.0 ms off", times(TIMES + 0.014 * (np.arange(SCANS) % 7 == 0))),
+    (MISSED, "10 of 300 scans", times(np.delete(TIMES, range(30, 130, 10)))),
+    (MISSED, "149 of 299", times(TIMES[:150], TIMES[-1])),
+    ("rate whole scans of hub 1", "fewer than 10", times(TIMES[:5])),
+    (DAMAGE, "wrong checksum: 1 → check the bus's ends", link(crc_errors=1)),
+    (DAMAGE, "wrong length: 2", link(length_errors=2)),
+    (DAMAGE, "module table: 3 → two hubs may share a short id", link(index_errors=3)),
+    (DAMAGE, "command does not allow", link(malformed=1)),
+    (DAMAGE, "could not decode", link(noise=1)),
+    (DAMAGE, "without the beginning", link(orphan=40)),
+    ("link faults", "not read in time: 2 → run as", link(bus_unread=2)),
+    ("link faults", "went away: 2 → check the adapter", link(lost=2)),
+    ("link faults", "went away: 1", link(100, lost=1)),
+    ("link faults", "fell silent: 1", link(100, silences=1)),
+    ("taxels noisy", "T5 of module 1 (hub 1, position 0), noise", noise(5, 500.0)),
+    ("taxels noisy", "the whole module: T1, T2", noise(slice(12, 22), 500.0)),
+    ("taxels noisy", "T9, T10 of module 4", noise(ALL_TAXELS, 1500.0)),
+    ("taxels dead", "T4 of module 3 (hub 1, position 2)", fixed((3, 4, 0))),
+    ("taxels dead", "T2, T7 of module 1", fixed((1, 2, 0), (1, 7, 0))),
+    ("taxels dead", "the whole module: T1", fixed(*((2, name, 0) for name in range(1, 11)))),
+    ("taxels saturated", "T1 of module 4", fixed((4, 1, 43_000))),
+    ("taxels stuck", "T10 of module 4", fixed((4, 10, 10_123))),
+    ("temperature 0, or 43000 and more", "T0 of module 2 (hub 1, position 1)", fixed((2, 0, 0))),
+    ("temperature 0, or 43000 and more", "T0 of module 2", fixed((2, 0, 0xFFFF))),
+    ("temperature jumps within a second", "T0 of module 1 (hub 1, position 0): ", jumping_t0),
+    ("press answers", "; modules 2 and 4 are swapped →", presses(1, 4, 3, 2)),
+    ("press answers", "module 2 answered for 1; module 3 answered", presses(2, 3, 1, 4)),
+    ("press answers", "module 3 (hub 1, position 2) felt nothing", presses(1, 2, None, 4)),
+    ("press strength", "modules 1, 2, 3, 4 felt 900 at", presses(1, 2, 3, 4, peak=900.0)),
 ]
 
 
-def test_a_healthy_skin_fails_nothing() -> None:
-    got = presses(1, 2, 3, 4)()
-    assert failed(got) == {}
-    assert {check.verdict for check in judged(got).values()} == {"passed"}
+@pytest.mark.parametrize(("broken", "says", "make"), FAULTS)
+def test_a_fault_breaks_its_own_rule_alone_and_is_named(broken: str, says: str, make: Make) -> None:
+    found = failed(make())
+    assert list(found) == broken.split("|")
+    assert says in next(iter(found.values()))
+
+
+def drifting() -> Received:
+    return received(
+        [
+            replace(scan, counts=tuple(value + i // 20 for value in scan.counts))
+            for i, scan in enumerate(scans_of())
+        ]
+    )
+
+
+def declared_twice() -> Received:
+    """A hub whose first table had a dead taxel."""
+    dead = scans_of(times=TIMES[:100], fixed={(1, 1): 0})
+    return received(dead + scans_of(times=TIMES[100:], version=2))
 
 
 @pytest.mark.parametrize(
-    ("name", "expected", "make"),
-    FAULTS,
-    ids=[f"{name}: {expected}" for name, expected, _ in FAULTS],
+    ("make", "says"),
+    [
+        (presses(1, 2, 3, 4), "4 of 4 modules answered where they are"),
+        (table(replace(A, mask=0xFFF, channels=12), B, C, D), "4 of 4 answered"),
+        (counts(noise=0.2, fixed={(1, 3): 10_000}), "use --press"),
+        (noise(slice(None), 0.5), "looks like a quiet one"),  # a flat patch
+        (noise(slice(None), 130.0), "of 300 scans"),  # a large curved patch
+        (drifting, "0 of 300 scans"),
+        (declared_twice, "40 of 40"),
+        (presses(1, 2, 3, 4, peak=31_000.0), "raise full_scale_counts"),
+    ],
 )
-def test_a_fault_fails_its_own_check_alone_and_is_named(
-    name: str, expected: str, make: Callable[[], Received]
-) -> None:
-    found = failed(make())
-    assert list(found) == name.split()
-    assert expected in found[name.split(maxsplit=1)[0]]
+def test_what_is_no_fault_breaks_no_rule(make: Make, says: str) -> None:
+    got = make()
+    assert failed(got) == {}
+    assert says in " ".join(rule.measured for rule in checks.rules(got))
 
 
-def test_a_swapped_pair_is_one_finding() -> None:
-    assert failed(presses(1, 4, 3, 2)())["press"].count("swapped") == 1
-
-
-def test_scans_lost_to_damaged_packets_fail_the_link_and_not_the_rate() -> None:
-    scans = scans_of(Counts(MODULES))
+def test_scans_lost_to_damaged_packets_break_the_links_rule_and_not_the_rates() -> None:
     torn = [
         replace(scan, counts=(*scan.counts[:40], *[MISSING] * 4)) if i % 20 == 10 else scan
-        for i, scan in enumerate(scans)
+        for i, scan in enumerate(scans_of())
     ]
-    got = received(torn, link=HEALTHY_LINK + Counter(crc_errors=10))
-    assert list(failed(got)) == ["link"]
-    assert "10 of 200 missed" in judged(got)["rate"].summary
+    got = received(torn, link=LINK + Counter(crc_errors=15))
+    assert list(failed(got)) == [DAMAGE]
+    assert "15 of 300 scans" in [rule.measured for rule in checks.rules(got)]
 
 
 def test_what_cannot_be_checked_has_not_passed() -> None:
-    verdicts = {name: c.verdict for name, c in judged(no_scans({})()).items()}
-    assert verdicts.pop("discovery") == "failed"
-    assert set(verdicts.values()) == {"not checked"}
-
-
-def test_a_module_table_is_compared_with_the_layout_without_scans_too() -> None:
-    found = failed(no_scans({1: (A, C, D)}, packets=9)())
-    assert list(found) == ["discovery", "modules"]
-    assert "module 2 did not answer" in found["modules"]
-
-
-def test_channels_that_the_layout_lacks_are_a_note_and_no_finding() -> None:
-    more = replace(A, mask=0xFFF, channels=12)
-    got = table(more, B, C, D)()
-    assert failed(got) == {}
-    assert judged(got)["modules"].notes == [
-        "module 1 (hub 1, position 0): T11 are not in the layout; the daemon passes them over"
-    ]
-
-
-def test_with_less_noise_than_a_count_no_taxel_is_called_stuck_and_a_note_says_so() -> None:
-    counts = Counts(MODULES, noise=0.2)
-    counts.fixed = {(1, 3): 10_000}
-    got = received(scans_of(counts))
-    assert failed(got) == {}
-    assert "use --press" in judged(got)["noise"].notes[0]
-
-
-def test_noise_is_compared_with_the_skins_own() -> None:
-    for sd in (0.5, 34.0, 130.0):  # a flat patch, a handle, a large curved patch
-        assert failed(received(scans_of(Counts(MODULES, noise=sd)))) == {}
-
-
-def test_slow_drift_fails_neither_the_noise_nor_the_temperature() -> None:
-    scans = [
-        replace(scan, counts=tuple(value + i // 20 for value in scan.counts))
-        for i, scan in enumerate(scans_of(Counts(MODULES)))
-    ]
-    assert failed(received(scans)) == {}
+    first, *others = checks.rules(silent({})())
+    assert first.holds is False
+    assert {rule.holds for rule in others} == {None}
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 19, 21])
-def test_with_few_scans_nothing_fails_but_the_rate(n: int) -> None:
-    assert set(failed(received(scans_of(Counts(MODULES))[:n], span=(1000.0, 1000.0)))) <= {"rate"}
-
-
-def test_presses_beyond_full_scale_are_a_note() -> None:
-    got = presses(1, 2, 3, 4, counts=31_000.0)()
-    assert failed(got) == {}
-    assert "full_scale_counts towards 31000" in judged(got)["press"].notes[0]
-
-
-def test_a_hub_that_declared_itself_twice_is_checked_by_its_last_table() -> None:
-    dead = Counts(MODULES)
-    dead.fixed = {(1, 1): 0}
-    scans = scans_of(dead)[:100] + scans_of(Counts(MODULES), version=2)[100:]
-    assert failed(received(scans)) == {}
+def test_with_few_scans_no_rule_breaks_but_the_rates(n: int) -> None:
+    got = received(scans_of(times=TIMES[:n]), span=(1000.0, 1000.0))
+    assert all(name.startswith("rate") for name in failed(got))
 
 
 RELEASED = (0,) * 8
 
 
-def press_of(*counts: float, free: bool = True) -> float | None:
-    """The most counts of the first press in a series of scans of one taxel."""
-    scans = ((PERIOD_S * k, np.array([float(value)])) for k, value in enumerate(counts))
-    peak = pressed(scans, np.array([50.0]), free=free)
-    return None if peak is None else float(peak[0])
-
-
 @pytest.mark.parametrize(
-    ("counts", "free", "peak"),
+    ("over", "free", "peak"),
     [
-        ((0, 10, 49, 0, 60, 300, 200, *RELEASED, 900, 900), True, 300.0),
+        ((0, 0, 60, 300, 200, *RELEASED, 900, 900), True, 300.0),
         ((60, 300, 200), True, 300.0),
         ((0, 400, 0, 0, 400, 0), True, None),
         ((400,) * 20, False, None),
@@ -309,33 +255,37 @@ def press_of(*counts: float, free: bool = True) -> float | None:
     ],
     ids=["pressed and released", "not released", "single scans", "still held", "held, then again"],
 )
-def test_a_press_begins_over_the_threshold_of_a_free_skin_and_ends_with_its_release(
-    counts: tuple[int, ...], free: bool, peak: float | None
+def test_a_press_begins_on_a_free_skin_and_ends_with_its_release(
+    over: tuple[int, ...], free: bool, peak: float | None
 ) -> None:
-    assert press_of(*counts, free=free) == peak
+    found = pressed(
+        ((PERIOD_S * k, np.array([float(value)])) for k, value in enumerate(over)), free=free
+    )
+    assert (None if found is None else float(found[0])) == peak
 
 
-def test_the_json_is_strict_and_has_a_row_for_each_taxel() -> None:
-    got = received(scans_of(Counts((A, B, C)), (A, B, C)), tables={1: (A, B, C)})
-    report = AcceptanceReport("can:can0", "now", got)
-    value = json.loads(report.json, parse_constant=pytest.fail)
+def test_the_json_is_strict_and_has_a_row_for_each_rule_and_taxel() -> None:
+    got = table(A, B, C)()
+    found = checks.rules(got)
+    text = json.dumps(accept.report("can:can0", "now", got, found))
+    value = json.loads(text, parse_constant=pytest.fail)
+    assert [row["holds"] for row in value["rules"]] == [rule.holds for rule in found]
     assert len(value["taxels"]) == len(SKIN)
-    assert value["taxels"][-1]["noise"] is None
+    assert value["taxels"][-1]["level"] is None
     assert value["passed"] is False
 
 
 @pytest.mark.parametrize(
-    ("target", "kind", "interface", "channel"),
+    ("target", "expected"),
     [
-        ("can:can0", "can", "socketcan", "can0"),
-        ("slcan:/dev/ttyACM0@3000000", "can", "slcan", "/dev/ttyACM0@3000000"),
-        ("pcan:PCAN_USBBUS1", "can", "pcan", "PCAN_USBBUS1"),
-        ("serial:/dev/ttyACM0@115200", "serial", "socketcan", "/dev/ttyACM0@115200"),
+        ("can:can0", ("can", "socketcan", "can0")),
+        ("slcan:/dev/ttyACM0@3000000", ("can", "slcan", "/dev/ttyACM0@3000000")),
+        ("pcan:PCAN_USBBUS1", ("can", "pcan", "PCAN_USBBUS1")),
+        ("serial:/dev/ttyACM0@115200", ("serial", "socketcan", "/dev/ttyACM0@115200")),
     ],
 )
 def test_a_target_is_one_of_the_daemons_sources(
-    target: str, kind: str, interface: str, channel: str
+    target: str, expected: tuple[str, str, str]
 ) -> None:
-    config = source_of(target, 20)
-    assert (config.kind, config.interface, config.channel) == (kind, interface, channel)
-    assert config.period_ms == 20
+    config = accept.source_of(target, 20)
+    assert (config.kind, config.interface, config.channel, config.period_ms) == (*expected, 20)

@@ -1,9 +1,15 @@
-"""`taxeld-hil accept`: whether a real skin is fit for use (docs/acceptance.md)."""
+"""`taxeld-hil accept`: whether a real skin is fit for use (docs/acceptance.md).
+
+It makes a page of text that a person can act on, and the same as JSON.
+"""
 
 import contextlib
+import json
 import time
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from taxeld.config import endpoints
 from taxeld.config.tables import SourceConfig
@@ -11,16 +17,19 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.service.doorkeeper import array_heard
+from taxeld.source import modules
 from taxeld.source.device import BusyError
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source
-from taxeld_hil.acceptance.press import ask
-from taxeld_hil.acceptance.received import Say, receive
-from taxeld_hil.acceptance.report import AcceptanceReport
+from taxeld_hil.acceptance.checks import rules
+from taxeld_hil.acceptance.press import pressed_by_hand
+from taxeld_hil.acceptance.received import Received, Say, receive
+from taxeld_hil.rules import Rule, as_json, failed, lines
 
-SECONDS_MIN = 5.0  # 100 scans at the usual rate: to call a taxel stuck needs half of that
+SECONDS_MIN = 5.0  # 100 scans at the usual rate
 SECONDS_MAX = 600.0  # all scans are held
 OTHER_CURE = "; is the adapter plugged in, its driver installed?"
+VERSION = 2  # of report.json
 
 
 def run(
@@ -33,8 +42,9 @@ def run(
     period_ms: int,
     full_scale_counts: float,
     presses: bool,
-) -> AcceptanceReport:
-    """Check the skin behind a target; the report and all that was received are written to `out`.
+) -> bool:
+    """Check the skin behind a target; → whether all rules hold. The report and all that was
+    received are written to `out`.
 
     Raises:
         SetupError: a number is out of its range, the target cannot be opened, or the layout or
@@ -56,22 +66,63 @@ def run(
             with contextlib.closing(source), array_heard(source, config.endpoint):
                 got = receive(source, layout, say, seconds, period_ms, full_scale_counts)
                 if presses:
-                    got = replace(got, presses=ask(source, got, say))
-        report = AcceptanceReport(target, when, got)
-        _write(report, out, say)
+                    got = pressed_by_hand(source, got, say)
+        found = rules(got)
+        text = page(target, when, got, found)
+        out.mkdir(parents=True, exist_ok=True)  # a recording makes it with its first frame
+        (out / "report.txt").write_text(text, encoding="utf-8")
+        as_text = json.dumps(report(target, when, got, found), indent=1)
+        (out / "report.json").write_text(as_text + "\n", encoding="utf-8")
+        connected = [m for table in got.tables.values() for m in table if m.channels]
+        if connected and all(m.sui is not None and not m.fault for m in connected):
+            path = out / modules.FILE
+            path.write_text(modules.text(got.tables), encoding="utf-8")
+            say(f"the hub's modules are listed in {path}, for source.modules")
     except OSError as error:  # of the files: the source handles a device's errors
         raise SetupError(f"--out: cannot write {out} ({error.strerror})") from None
-    return report
+    say(f"\n{text}\nreport and recording in {out}")
+    return not failed(found)
 
 
-def _write(report: AcceptanceReport, out: Path, say: Say) -> None:
-    out.mkdir(parents=True, exist_ok=True)  # a recording makes it with its first frame
-    (out / "report.txt").write_text(report.text, encoding="utf-8")
-    (out / "report.json").write_text(report.json, encoding="utf-8")
-    if report.modules:
-        path = out / "modules.toml"
-        path.write_text(report.modules, encoding="utf-8")
-        say(f"the hub's modules are listed in {path}, for source.modules")
+def page(target: str, when: str, got: Received, found: Sequence[Rule]) -> str:
+    """The report for people."""
+    bad, seconds = failed(found), got.span[1] - got.span[0]
+    verdict = f"FAILED, {len(bad)} of {len(found)} rules" if bad else "PASSED"
+    head = [
+        f"skin acceptance: {verdict}",
+        f"target {target}, {when}, {seconds:.0f} s untouched",
+        f"layout {got.layout.name}: {len(got.layout)} taxels on "
+        f"{len(np.unique(got.layout.uid >> 4))} modules",
+        "",
+    ]
+    return "\n".join([*head, *lines(found)]) + "\n"
+
+
+def report(target: str, when: str, got: Received, found: Sequence[Rule]) -> dict[str, object]:
+    """The report for programs, with a row for each taxel."""
+    none = np.full(len(got.layout), np.nan)
+    read = got.untouched
+    columns = {
+        "level": none if read is None else read.level,
+        "noise": none if read is None else read.noise,
+        "press_counts": np.max([p.peak for p in got.presses], axis=0) if got.presses else none,
+    }
+    return {
+        "v": VERSION,
+        "passed": not failed(found),
+        "target": target,
+        "when": when,
+        "seconds": round(got.span[1] - got.span[0], 3),
+        "layout": {"name": got.layout.name, "digest": got.layout.digest},
+        "period_ms": got.period_ms,
+        "full_scale_counts": got.full_scale_counts,
+        "rules": as_json(found),
+        "taxels": [
+            {"uid": uid}
+            | {k: round(float(c[i]), 4) if np.isfinite(c[i]) else None for k, c in columns.items()}
+            for i, uid in enumerate(got.layout.uid.tolist())
+        ],
+    }
 
 
 def source_of(target: str, period_ms: int) -> SourceConfig:

@@ -1,24 +1,18 @@
-"""The acceptance checks: faults of a skin, and their cures.
-
-A check is a function of what was received. `CHECKS` lists them in the order in which the report has
-them.
-"""
+"""The acceptance rules, as functions of what was received."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from taxeld.arrays import Bools, Floats
 from taxeld.skin.channels import TEMPERATURE
-from taxeld.skin.rest import NOISE_TELLS
+from taxeld.skin.drift import T0_STEP
+from taxeld.skin.rest import FROZEN_SCANS, NOISE_TELLS
 from taxeld.skin.skin import INVALID_FROM
 from taxeld.source.bus_faults import NORMAL, BusFault
-from taxeld_hil.acceptance import cures
-from taxeld_hil.acceptance.idle import INVALID
-from taxeld_hil.acceptance.received import DAMAGES, Received
+from taxeld_hil.acceptance.received import INVALID, STANDS_OUT, Received
+from taxeld_hil.rules import Rule
 from taxeld_protocol.array import Group
 from taxeld_protocol.decoder import GAP_SHARE
 from taxeld_protocol.modules import NAMES, Module, wired
@@ -27,332 +21,312 @@ RATE_OFF = 0.1  # share of the period; a hub's clock is far better
 JITTER_OFF = 1.0 - GAP_SHARE  # share of the period: an earlier scan may join the last one
 MISSED = 0.01  # share of the scans, without a damaged packet to explain them
 SCANS_MIN = 10  # scans that tell the rate of a hub
+T0_S = 3.0  # time after which a T0 is known
 DAMAGED = 0.001  # share of the packets; CAN repeats damaged frames, so none should be
 WEAK = 0.1  # full scales; a taxel's strongest on a real skin is 0.43 (median)
 STRONG = 1.5  # full scales: activations end at 1, so stronger presses read the same
 NAMES_MAX = 12  # names in one line
 
+POWER = (
+    "check that the hub has power, that CAN-H and CAN-L are not exchanged, and that the bus ends "
+    "in 120 Ω at both ends and runs at 1 Mbit/s"
+)
+KIND = "check the target's kind (can, slcan or serial) and its bit rate or baud rate"
+ADAPTER = "check the adapter's plug, cable and supply, and that no other program uses it"
+HOST = "stop any other host that drives this hub, and switch the hub off and on"
+FIRMWARE = "switch the hub off and on; else load its firmware anew, with the vendor's tool"
+SPI = "check the cable from the hub to the module and its neighbours; switch the hub off and on"
+LAYOUT = "give this skin's layout file, or correct the serial numbers in it"
+FEWER = "ask for fewer scans (--period-ms, and source.period_ms of the daemon)"
+BUSY = (
+    "close other programs on this machine; on a USB serial adapter set its latency timer to 1 ms "
+    "(/sys/bus/usb-serial/devices/*/latency_timer)"
+)
+# Counters of a source, in words.
+DAMAGES = {
+    "crc_errors": "packets with a wrong checksum",
+    "length_errors": "packets of a wrong length",
+    "index_errors": "packets past the module table",
+    "malformed": "packets that their command does not allow",
+    "noise": "reads that the driver could not decode",
+}
+AWAY = {"lost": "times the adapter went away", "silences": "times the adapter fell silent"}
+OTHERS = {
+    "unknown": "frames or packets of other devices",
+    "unsent": "requests that could not be sent",
+    "refused": "lines that the adapter refused, named above",
+}
+# No hub declares its modules: the first counter that is not 0 has the cure.
+SILENCE = {
+    "lost": (AWAY["lost"], ADAPTER),
+    "bootloader": ("answers from a hub's bootloader", FIRMWARE),
+    "packets": ("CySkin packets, none of them an answer to DECLARE", HOST),
+    "frames": ("CAN frames", KIND),
+    "refused": (OTHERS["refused"], ADAPTER),
+    "bytes": ("bytes", KIND),
+    "unsent": (OTHERS["unsent"], POWER),
+}
 
-class Finding(NamedTuple):
-    """One thing that is wrong."""
 
-    where: str
-    what: str
-    cure: str
-
-
-@dataclass(frozen=True, slots=True)
-class CheckResult:
-    """The result of one check; `figures` are for machines, and go to the JSON alone."""
-
-    summary: str
-    findings: Sequence[Finding] = ()
-    notes: Sequence[str] = ()  # worth knowing, and no fault
-    figures: Mapping[str, object] = field(default_factory=dict)
-    checked: bool = True  # False: its input was not received, or not asked for
-
-    @property
-    def verdict(self) -> str:
-        if self.findings:
-            return "failed"
-        return "passed" if self.checked else "not checked"
+def rules(got: Received) -> list[Rule]:
+    """All rules, in the order of the report."""
+    checks = (discovery, modules, rate, link, taxels, temperature, press)
+    return [rule for check in checks for rule in check(got)]
 
 
-def discovery(got: Received) -> CheckResult:
+def discovery(got: Received) -> Iterator[Rule]:
     """The hub answers the daemon's own bring-up, declares all its modules, and sends scans."""
-    findings, parts = [] if got.scans else [*_bus(got.bring_up)], []
-    if not got.tables and not findings:
-        heard = _counted(got.bring_up, *cures.SILENCE) or "nothing at all was heard"
-        cure = next((c for name, c in cures.SILENCE.items() if got.bring_up[name]), cures.POWER)
-        findings.append(Finding("the bus", f"no hub declared its modules; {heard}", cure))
+    fault, cure = ("", "") if got.scans else _bus(got.bring_up)
+    if not got.tables:
+        heard = [(f"{text}: {n}", c) for k, (text, c) in SILENCE.items() if (n := got.bring_up[k])]
+        said = fault or ", ".join(text for text, _ in heard) or "nothing at all was heard"
+        cure = cure or (heard[0][1] if heard else POWER)
+        yield Rule("discovery", "hubs", f"none declared its modules; {said}", "any", False, cure)
+        return
+    parts, unknown, silent = [], [], [fault] * bool(fault)
     for hub, table in got.tables.items():
         connected = [module for module in table if module.channels]
-        unknown = [i for i, module in enumerate(table) if module.channels and module.sui is None]
-        if unknown or not connected:
-            what = "declares no module with a channel"
-            if unknown:
-                what = f"no details of the modules at positions {_listed(unknown)}"
-            findings.append(Finding(f"hub {hub}", what, cures.SPI))
-        elif not any(scan.ihb == hub for scan in got.scans) and not any(m.fault for m in table):
-            what = "answers, but sent no scan after auto sync was switched on"
-            findings.append(Finding(f"hub {hub}", what, cures.FIRMWARE))
         channels = sum(module.channels for module in connected)
         parts.append(f"hub {hub}: {len(connected)} modules, {channels} channels")
-    notes = [f"hub {hub}: {versions}" for hub, versions in got.firmware.items()]
-    return CheckResult("; ".join(parts) or "no hub answered", findings, notes)
+        lacking = [i for i, module in enumerate(table) if module.channels and module.sui is None]
+        if lacking or not connected:
+            where = f"of the modules at positions {_listed(lacking)}" if lacking else "of a module"
+            unknown.append(f"hub {hub} told nothing {where}")
+        elif not any(scan.ihb == hub for scan in got.scans) and not any(m.fault for m in table):
+            silent.append(f"hub {hub}")
+    yield Rule("discovery", "hubs", "; ".join(parts), "any")
+    if got.firmware:
+        said = "; ".join(f"hub {hub}: {versions}" for hub, versions in got.firmware.items())
+        yield Rule("discovery", "firmware", said)
+    yield _none("discovery", "without a module's details", unknown, SPI)
+    yield _none("discovery", "sent no scan after auto sync", silent, cure or FIRMWARE)
 
 
-def modules(got: Received) -> CheckResult:
+def modules(got: Received) -> Iterator[Rule]:
     """The modules that answered are those of the layout, with the layout's taxels and T0."""
     connected = [m for table in got.tables.values() for m in table if m.channels]
     found = {m.sui: m for m in connected if m.sui is not None}
-    if not found:
-        return CheckResult("no module is known", checked=False)
     layout = {m.sui: m for m in wired(got.layout.uid.tolist()) if m.sui is not None}
-    times = Counter(m.sui for m in connected)
+    if not found:
+        yield Rule("modules", "of the layout", "no module is known", "all", None)
+        return
     missing, unexpected = sorted(layout.keys() - found), sorted(found.keys() - layout)
-    findings, notes = [], []
+    said = f"{len(layout) - len(missing)} of {len(layout)} answered"
     if missing:
-        taxels = sum(layout[sui].channels - 1 for sui in missing)  # without T0
-        what = f"did not answer; {taxels} taxels of the layout are not read"
-        where = f"module{'s' * (len(missing) > 1)} {_listed(missing)}"
-        findings.append(Finding(where, what, f"{cures.SPI}; else {cures.LAYOUT}"))
-    if unexpected:
-        where = _listed([got.module(sui) for sui in unexpected])
-        findings.append(Finding(where, "answered, but not in the layout", cures.LAYOUT))
-    for sui, module in found.items():
-        if times[sui] > 1:
-            what = f"{times[sui]} modules answer to this serial number"
-            findings.append(Finding(got.module(sui), what, "give one of them its own number"))
-        if module.fault:
-            what, _, cure = module.fault.partition("; ")
-            findings.append(Finding(got.module(sui), f"{what}: its hub is refused", cure))
-    for sui in sorted(layout.keys() & found):
-        where = got.module(sui)
-        findings += [Finding(where, what, cures.MASK) for what in _mask(layout[sui], found[sui])]
-        extra = _names(found[sui].mask & ~layout[sui].mask)
-        if extra:
-            notes.append(f"{where}: {extra} are not in the layout; the daemon passes them over")
-    there = len(layout) - len(missing)
-    summary = f"{there} of the layout's {len(layout)} answered, {len(unexpected)} unexpected"
-    return CheckResult(summary, findings, notes, {"missing": missing, "unexpected": unexpected})
+        unread = sum(layout[sui].channels - 1 for sui in missing)  # without T0
+        said += f"; {_listed(missing)} did not, so {unread} taxels are not read"
+    yield Rule("modules", "of the layout", said, "all", not missing, f"{SPI}; else {LAYOUT}")
+    yield _none("modules", "not in the layout", [*map(got.module, unexpected)], LAYOUT)
+    times = Counter(m.sui for m in connected)
+    twice = [f"{got.module(sui)}, {times[sui]} times" for sui in found if times[sui] > 1]
+    yield _none("modules", "with one serial number", twice, "give each its own number")
+    other = [
+        f"{got.module(sui)} {said}"
+        for sui, module in found.items()
+        if (said := module.fault or _other(layout.get(sui, module), module))
+    ]
+    cure = (
+        "do as said; set the module's mask (MODULE_SET_CUT_SENSORS; bit 0 is T0) and switch the "
+        "hub off and on, or mark the taxels that it leaves out as cut in the layout"
+    )
+    yield _none("modules", "with other taxels", other, cure)
 
 
-def _mask(layout: Module, found: Module) -> Iterator[str]:
-    mask = f"its mask {found.mask:#05x}"
-    if absent := _names(layout.mask & ~found.mask & ~(1 << TEMPERATURE)):
-        yield f"{mask} leaves out {absent}, which the layout has"
-    if not (found.mask >> TEMPERATURE & 1 or isinstance(found, Group)):  # of an array: it has none
-        yield f"{mask} has no T0: its drift cannot be told from a touch"
+def _other(layout: Module, found: Module) -> str:
+    """How a module's taxels differ from the layout's; the daemon passes over further ones."""
+    absent = layout.mask & ~found.mask & ~(1 << TEMPERATURE)
+    names = ", ".join(f"T{bit}" for bit in range(NAMES) if absent >> bit & 1)
+    said = f"leaves out {names}, which the layout has" if absent else ""
+    if not (found.mask >> TEMPERATURE & 1 or isinstance(found, Group)):  # an array has none
+        said += " has no T0: its drift cannot be told from a touch"
+    return said
 
 
-def _names(mask: int) -> str:
-    return ", ".join(f"T{bit}" for bit in range(NAMES) if mask >> bit & 1)
-
-
-def rate(got: Received) -> CheckResult:
+def rate(got: Received) -> Iterator[Rule]:
     """Scans come as often as they were asked for, evenly, and none is missing."""
     if not got.scans:
-        return CheckResult("no scan came", checked=False)
-    explained: float = got.damaged + got.link["orphan"]
-    if got.link["lost"] or got.link["silences"]:  # faults of the link explain any number
+        yield Rule("rate", "scans", "none came", "", None)
+    count, asked_ms = got.link, got.period_ms
+    explained: float = _sum(count, DAMAGES) + count["orphan"]
+    if _sum(count, AWAY):  # faults of the link explain any number
         explained = np.inf
-    findings, parts, figures = [], [], {}
-    for hub, t in got.times.items():
-        where = f"hub {hub}"
+    for hub in sorted({scan.ihb for scan in got.scans}):
+        t = np.array([scan.t for scan in got.scans if scan.ihb == hub and scan.complete])
         if len(t) < SCANS_MIN:
-            what = f"fewer than {SCANS_MIN} whole scans"
-            findings.append(Finding(where, what, "see the link, or give more --seconds"))
+            cure = "see the link, or give more --seconds"
+            few = f"fewer than {SCANS_MIN}"
+            yield Rule("rate", f"whole scans of hub {hub}", few, f"{SCANS_MIN}", False, cure)
             continue
         missed, period_ms, off_ms = _pace(t, got.span[1])
-        due, (p50, p95, p99) = len(t) + missed, off_ms
-        parts.append(
-            f"{where}: {1e3 / period_ms:.1f} Hz of {1e3 / got.period_ms:.1f} asked, "
-            f"{p50:.1f} / {p95:.1f} / {p99:.1f} ms off (50 / 95 / 99 %), {missed} of {due} missed"
-        )
-        figures[str(hub)] = {
-            "scans": len(t),
-            "missed": missed,
-            "period_ms": period_ms,
-            "off_ms": off_ms,
-        }
-        slow = period_ms - got.period_ms
-        if abs(slow) > RATE_OFF * got.period_ms:
-            what = f"a scan every {period_ms:.1f} ms, where {got.period_ms} were asked for"
-            findings.append(Finding(where, what, cures.FEWER if slow > 0 else cures.HOST))
-        if p99 > JITTER_OFF * period_ms:
-            what = f"one scan in a hundred is {p99:.1f} ms or more off its time"
-            findings.append(Finding(where, what, cures.BUSY))
-        if missed - explained > MISSED * due:
-            what = f"{missed} of {due} scans did not come, and no damaged packet explains it"
-            findings.append(Finding(where, what, f"{cures.FEWER}; else {cures.BUSY}"))
-    return CheckResult("; ".join(parts) or "too few scans", findings, figures=figures)
+        due, most_ms = len(t) + missed, JITTER_OFF * period_ms
+        is_right = abs(period_ms - asked_ms) <= RATE_OFF * asked_ms
+        every, limit = f"a scan every {period_ms:.1f} ms", f"{asked_ms} ms ± {RATE_OFF:.0%}"
+        cure = FEWER if period_ms > asked_ms else HOST
+        yield Rule("rate", f"hub {hub}", every, limit, is_right, cure)
+        said = f"99 % of the scans are at most {off_ms:.1f} ms off"
+        limit, is_even = f"{most_ms:.1f} ms", off_ms <= most_ms
+        yield Rule("rate", f"evenness of hub {hub}", said, limit, is_even, BUSY)
+        said, limit = f"{missed} of {due} scans", f"{MISSED:.0%}, and those of damaged packets"
+        is_whole, cure = missed - explained <= MISSED * due, f"{FEWER}; else {BUSY}"
+        yield Rule("rate", f"missed by hub {hub}", said, limit, is_whole, cure)
 
 
-def _pace(t: Floats, end_s: float) -> tuple[int, float, list[float]]:
-    """Scans missed, the median period [ms], and how far 50, 95 and 99 % of the intervals are off a
+def _pace(t: Floats, end_s: float) -> tuple[int, float, float]:
+    """Scans missed, the median period [ms], and how far 99 % of the intervals are at most off a
     multiple of it [ms]; of scans at times (n,) [s], listened for until `end_s`."""
     interval = np.diff(t)
     period = float(np.median(interval))
     periods = np.round(interval / period)
     silent_at_end = max(int((end_s - t[-1]) / period) - 1, 0)
     missed = int((np.maximum(periods, 1) - 1).sum()) + silent_at_end
-    off_ms = np.percentile(1e3 * np.abs(interval - periods * period), (50, 95, 99))
-    return missed, 1e3 * period, off_ms.tolist()
+    off_ms = np.percentile(1e3 * np.abs(interval - periods * period), 99)
+    return missed, 1e3 * period, float(off_ms)
 
 
-def link(got: Received) -> CheckResult:
+def link(got: Received) -> Iterator[Rule]:
     """Whole packets with the right checksum and indices, from an adapter that stays."""
-    count, packets = got.link, got.link["packets"] + got.damaged
+    count = got.link
     if not got.scans:
-        return CheckResult("no scan came", checked=False)
-    findings = [*_bus(count)]
-    if gone := _counted(count, "lost", "silences"):
-        findings.append(Finding("the adapter", gone, cures.ADAPTER))
-    if got.damaged > DAMAGED * packets or count["orphan"] > DAMAGED * count["frames"]:
-        cure = cures.TABLE if got.damaged == count["index_errors"] > 0 else cures.WIRES
-        findings.append(Finding("the bus", _counted(count, *DAMAGES, "orphan"), cure))
-    note = _counted(count, "unknown", "unsent", "refused")
-    summary = (
-        f"{packets} packets, wrong: checksum {count['crc_errors']}, "
-        f"length {count['length_errors']}, index {count['index_errors']}"
+        yield Rule("link", "packets", "none came", "", None)
+        return
+    fault, cure = _bus(count)
+    gone = [words for words in (fault, _counted(count, AWAY)) if words]
+    yield _none("link", "faults", gone, cure or ADAPTER)
+    damaged = _sum(count, DAMAGES)
+    packets = count["packets"] + damaged
+    bad = damaged > DAMAGED * packets or count["orphan"] > DAMAGED * count["frames"]
+    words = DAMAGES | {"orphan": "frames without the beginning of their packet"}
+    said = ", ".join(filter(None, (f"{packets} packets", _counted(count, words))))
+    cure = f"check the bus's ends (120 Ω at both), its shield and its stubs; else {BUSY}"
+    if damaged == count["index_errors"] > 0:
+        cure = "two hubs may share a short id: connect one at a time, and switch it off and on"
+    yield Rule("link", "damage", said, f"{DAMAGED:.1%} of the packets", not bad, cure)
+    if others := _counted(count, OTHERS):
+        yield Rule("link", "beside these", others)
+
+
+def _bus(count: Counter[str]) -> tuple[str, str]:
+    """The faults of the bus, and the cure of the gravest; empty without any."""
+    faults = [f for f in BusFault if f not in NORMAL and count[f"bus_{f}"]]
+    said = ", ".join(f"{f.line.partition('; ')[0]}: {count[f'bus_{f}']}" for f in faults)
+    return said, faults[0].line.partition("; ")[2] if faults else ""
+
+
+def taxels(got: Received) -> Iterator[Rule]:
+    """Each taxel reads something, varies a little, and is neither stuck nor saturated."""
+    read = got.untouched
+    if read is None or not read.fine.any():
+        yield Rule("taxels", "at rest", "no taxel of the layout has a baseline", "", None)
+        return
+    level, usual = read.level[read.fine], float(np.nanmedian(read.noise[read.fine]))
+    said = (
+        f"{len(level)} of {len(got.layout)}, at {np.nanmin(level):.0f} to {np.nanmax(level):.0f} "
+        f"counts; noise {usual:.1f} counts (median)"
     )
-    return CheckResult(summary, findings, [note] * bool(note), dict(count))
-
-
-def _bus(count: Counter[str]) -> Iterator[Finding]:
-    for fault in BusFault:
-        if fault not in NORMAL and (times := count[f"bus_{fault}"]):
-            what, _, cure = fault.line.partition("; ")
-            yield Finding("the bus", f"{what}: {times}", cure)
-
-
-def noise(got: Received) -> CheckResult:
-    """The readings of the untouched skin vary little."""
-    idle, full = got.idle, got.full_scale_counts
-    if not idle.usable.any():
-        return CheckResult("no taxel that reads", checked=False)
-    low, middle, high = np.percentile(idle.noise[idle.usable], (10, 50, 90)).tolist()
-
-    def what(i: int) -> str:
-        share = f"{100 * idle.noise[i] / full:.1f} % of full scale"
-        return f"noise {idle.noise[i]:.0f} counts, {share}, where the skin's is {middle:.1f}"
-
-    quiet = (
-        "the noise is less than a count, so a taxel that stands still cannot be told from a quiet "
-        "one: use --press"
+    if usual < NOISE_TELLS:
+        said += ", so a stuck taxel looks like a quiet one: use --press"
+    yield Rule("taxels", "at rest", said)
+    cure = (
+        "check that the module's dielectric is on and dry and that its surface is not cut; if only "
+        "this taxel fails, mark it as cut in the layout; if the whole module fails, check its "
+        "cable and supply, then replace it"
     )
-    summary = (
-        f"{middle:.1f} counts (10..90 %: {low:.1f}..{high:.1f}), {100 * middle / full:.2f} % of "
-        f"full scale; {idle.noisy.sum()} taxels too noisy"
+    ground = (
+        "run once more with the skin untouched; then check the ground between skin, hub and robot, "
+        "and keep motor cables away; a single taxel can be marked as cut in the layout"
     )
-    findings = [*_by_module(got, idle.noisy, what, cures.GROUND)]
-    figures = {"median": middle, "p10": low, "p90": high}
-    return CheckResult(summary, findings, [quiet] * (middle < NOISE_TELLS), figures)
-
-
-def taxels(got: Received) -> CheckResult:
-    """Taxels that are dead, stuck or saturated."""
-    idle, failing = got.idle, got.idle.failing
-    if not idle.present.any():
-        return CheckResult("no taxel of the layout was heard", checked=False)
-    texts: dict[str, Callable[[int], str]] = {
-        "dead": lambda i: f"reads 0 in {100 * idle.zero[i]:.0f} % of the scans",
-        "stuck": lambda i: f"reads {idle.level[i]:.0f} without a count of change",
-        "saturated": lambda i: (
-            f"reads {INVALID_FROM} or more in {100 * idle.saturated[i]:.0f} % of the scans"
-        ),
+    limits = {
+        "saturated": (f"{INVALID_FROM} counts in {INVALID:.0%} of the scans", cure),
+        "dead": (f"0 in {INVALID:.0%} of the scans", cure),
+        "stuck": (f"{FROZEN_SCANS} scans without a count of change", cure),
+        "noisy": (f"{STANDS_OUT:g} times the median", ground),
     }
-    findings = [
-        finding._replace(what=f"{kind}: {finding.what}")
-        for kind, text in texts.items()
-        for finding in _by_module(got, failing[kind], text, cures.TAXEL)
-    ]
-    counted = ", ".join(f"{mask.sum()} {kind}" for kind, mask in failing.items())
-    level = idle.level[idle.present]
-    summary = (
-        f"{idle.present.sum()} of {len(got.layout)} heard: {counted}; "
-        f"idle levels {level.min():.0f}..{level.max():.0f} counts"
-    )
-    figures = {kind: np.flatnonzero(mask).tolist() for kind, mask in failing.items()}
-    return CheckResult(summary, findings, figures=figures)
+    for fault, (limit, cure) in limits.items():
+        bad = [*_by_module(got, read.faults[fault], read.noise)]
+        yield _none("taxels", fault, bad, cure, limit)
 
 
-def temperature(got: Received) -> CheckResult:
+def _by_module(got: Received, bad: Bools, noise: Floats) -> Iterator[str]:
+    """Bad taxels (M,), a part for each module: a module that fails is one fault."""
+    uid, serial = got.layout.uid, got.layout.uid >> 4
+    for sui in np.unique(serial[bad]).tolist():
+        own = bad & (serial == sui)
+        names = _listed([f"T{name}" for name in sorted((uid[own] & 0xF).tolist())])
+        whole = "the whole module: " if own.sum() == (serial == sui).sum() > 1 else ""
+        yield f"{whole}{names} of {got.module(sui)}, noise {noise[own].max():.0f} counts"
+
+
+def temperature(got: Received) -> Iterator[Rule]:
     """The modules' T0: a valid reading that moves as slowly as a temperature."""
-    found = got.idle.temperature
-    if not found:
-        return CheckResult("no T0 was heard", checked=False)
-    findings = []
-    for sui, t0 in sorted(found.items()):
-        what = ""
-        if t0.invalid > INVALID:
-            what = f"0, or {INVALID_FROM} and more, in {100 * t0.invalid:.0f} % of the scans"
-        elif t0.step > t0.allowed:
-            what = f"jumped by {t0.step:.0f} counts within a second, more than {t0.allowed:.0f}"
-        if what:
-            findings.append(Finding(f"T0 of {got.module(sui)}", what, cures.T0))
-    level, step = [t0.level for t0 in found.values()], max(t0.step for t0 in found.values())
-    summary = (
-        f"T0 of {len(found)} modules: {min(level):.0f}..{max(level):.0f} counts, "
-        f"at most {step:.0f} counts in a second"
-    )
-    return CheckResult(summary, findings)
+    suis = np.unique(got.layout.uid >> 4)
+    tables = [m for table in got.tables.values() for m in table if not isinstance(m, Group)]
+    with_t0 = {m.sui for m in tables if m.mask >> TEMPERATURE & 1}
+    known = np.array([sui in with_t0 for sui in suis.tolist()])
+    if got.untouched is None or not known.any() or got.span[1] - got.span[0] < T0_S:
+        yield Rule("temperature", "T0", "none was heard", "", None)
+        return
+    t0 = got.untouched.t0[:, known]
+    suis, lost = suis[known].tolist(), np.isnan(t0[-1])
+    step = np.nan_to_num(np.abs(np.diff(t0, axis=0))).max(axis=0, initial=0.0)
+    most = T0_STEP * got.full_scale_counts
+    cure = "run once more, untouched; then check the module's supply. Its drift is not compensated"
+    where = [f"T0 of {got.module(sui)}" for sui in suis]
+    invalid = [name for name, bad in zip(where, lost, strict=True) if bad]
+    yield _none("temperature", f"0, or {INVALID_FROM} and more", invalid, cure)
+    jumps = [f"{name}: {by:.0f} counts" for name, by in zip(where, step, strict=True) if by > most]
+    yield _none("temperature", "jumps within a second", jumps, cure, f"{most:.0f} counts")
 
 
-def press(got: Received) -> CheckResult:
+def press(got: Received) -> Iterator[Rule]:
     """Each module answers where the layout has it, as strongly as the daemon expects."""
     if not got.presses:
         why = "not asked for (--press)" if got.presses is None else "no module that can be pressed"
-        return CheckResult(why, checked=False)
-    full = got.full_scale_counts
-    answers = {p.asked: p.answered for p in got.presses}
-    peaks = {p.asked: float(p.peak.max()) for p in got.presses}
-    findings = []
+        yield Rule("press", "modules", why, "", None)
+        return
+    full, answers = got.full_scale_counts, {p.asked: p.answered for p in got.presses}
+    wrong, strength = [], {p.asked: float(p.peak.max()) for p in got.presses if p.answered}
     for asked, answered in answers.items():
         if answered is None:
-            what = "nothing was felt when it was to be pressed"
-            findings.append(Finding(got.module(asked), what, cures.PRESS))
-        elif answers.get(answered) == asked < answered:
-            where = f"modules {asked} and {answered}"
-            what = "answer for each other: they are swapped"
-            findings.append(Finding(where, what, cures.SWAPPED))
-        elif answers.get(answered) != asked != answered:
-            what = f"module {answered} answered when it was pressed"
-            findings.append(Finding(got.module(asked), what, cures.PRESS))
-    weak = [asked for asked in peaks if answers[asked] is not None and peaks[asked] < WEAK * full]
+            wrong.append(f"{got.module(asked)} felt nothing")
+        elif answers.get(answered) != asked:
+            wrong.append(f"module {answered} answered for {asked}")
+        elif asked < answered:
+            wrong.append(f"modules {asked} and {answered} are swapped")
+    right = sum(a == b for a, b in answers.items())
+    said = "; ".join([f"{right} of {len(answers)} modules answered where they are", *wrong])
+    cure = (
+        "exchange swapped modules on the link, or their serial numbers in the layout file; press "
+        "the others once more, harder; then check their cables and serial numbers"
+    )
+    yield Rule("press", "answers", said, "all", not wrong, cure)
+    strongest = max(strength.values(), default=0.0)
+    weak = [asked for asked, counts in strength.items() if counts < WEAK * full]
+    said = f"strongest {strongest:.0f} counts, {strongest / full:.0%} of full scale"
     if weak:
-        where = f"modules {_listed(weak)}"
-        most = max(peaks[asked] for asked in weak)
-        what = f"felt {most:.0f} counts at most, under {100 * WEAK:.0f} % of full scale"
-        findings.append(Finding(where, what, cures.HARDER))
-    figures = {str(asked): answered for asked, answered in answers.items()}
-    right, strongest = sum(a == b for a, b in answers.items()), max(peaks.values())
-    strong = (
-        f"the strongest press is {strongest / full:.1f} times full scale; where such presses are "
-        f"to be told apart, raise full_scale_counts towards {strongest:.0f}"
+        said += f"; modules {_listed(weak)} felt {max(strength[w] for w in weak):.0f} at most"
+    if strongest > STRONG * full:
+        said += "; to tell such presses apart, raise full_scale_counts towards it"
+    cure = (
+        "press harder and run once more; if it stays so, set skin.full_scale_counts of the daemon "
+        "to what a firm press reads, or see whether the dielectric has hardened"
     )
-    summary = (
-        f"{right} of {len(answers)} modules answered where they are; strongest {strongest:.0f} "
-        f"counts, {100 * strongest / full:.0f} % of full scale"
-    )
-    return CheckResult(summary, findings, [strong] * (strongest > STRONG * full), figures)
+    yield Rule("press", "strength", said, f"{WEAK:.0%} of full scale", not weak, cure)
 
 
-CHECKS: dict[str, Callable[[Received], CheckResult]] = {
-    "discovery": discovery,
-    "modules": modules,
-    "rate": rate,
-    "link": link,
-    "noise": noise,
-    "taxels": taxels,
-    "temperature": temperature,
-    "press": press,
-}
+def _none(check: str, what: str, found: Sequence[str], cure: str, limit: str = "none") -> Rule:
+    """The rule that nothing is so, or beyond the limit."""
+    return Rule(check, what, _listed(found, "; ") or "none", limit, not found, cure)
 
 
-def _by_module(
-    got: Received, bad: Bools, what: Callable[[int], str], cure: str
-) -> Iterator[Finding]:
-    """One finding for each module with bad taxels (M,): a module that fails is one fault."""
-    uid, serial = got.layout.uid, got.layout.uid >> 4
-    for sui in np.unique(serial[bad]).tolist():
-        failed = np.flatnonzero(bad & (serial == sui))
-        failed = failed[np.argsort(uid[failed])]
-        names = [f"T{uid[i] & 0xF}" for i in failed]
-        text = what(failed[0])
-        if len(failed) > 1:
-            text += f" ({names[0]}; the others alike)"
-        whole = len(failed) == (serial == sui).sum() > 1
-        where = f"{_listed(names)} of {got.module(sui)}"
-        yield Finding(where, text, cures.MODULE if whole else cure)
+def _sum(count: Counter[str], names: dict[str, str]) -> int:
+    return sum(count[name] for name in names)
 
 
-def _counted(count: Counter[str], *names: str) -> str:
+def _counted(count: Counter[str], words: dict[str, str]) -> str:
     """The counters that are not 0, in words."""
-    return ", ".join(f"{cures.COUNTED[name]}: {count[name]}" for name in names if count[name])
+    return ", ".join(f"{text}: {count[name]}" for name, text in words.items() if count[name])
 
 
-def _listed(names: Sequence[object]) -> str:
+def _listed(names: Sequence[object], comma: str = ", ") -> str:
     more = len(names) - NAMES_MAX
-    return ", ".join(map(str, names[:NAMES_MAX])) + (f" and {more} more" if more > 0 else "")
+    return comma.join(map(str, names[:NAMES_MAX])) + (f" and {more} more" if more > 0 else "")

@@ -1,6 +1,6 @@
 """Scans and counters of an untouched skin, after the daemon's own bring-up.
 
-The checks are functions of `Received` alone: they need no device and no clock.
+The rules are functions of `Received` alone: they need no device and no clock.
 """
 
 import time
@@ -12,19 +12,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Bools, Floats
+from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
+from taxeld.model.noise import FLOOR
+from taxeld.skin.skin import Skin
 from taxeld.source.bring_up import SILENCE_S
 from taxeld.source.sources import Source
-from taxeld_hil.acceptance.idle import IdleReadings, measured
 from taxeld_protocol.array import ArrayDecoder
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.modules import Module
 
 POLL_S = 0.001
 ANSWER_S = 10.0  # a hub that was just powered needs seconds
-# Counters of damaged packets.
-DAMAGES = ("crc_errors", "length_errors", "index_errors", "malformed", "noise")
+INVALID = 0.01  # share of the scans
+STANDS_OUT = 10.0  # times the skin's median noise; 23..59 counts is what 80 % of a skin lie in
 
 Say = Callable[[str], None]  # prints a line to the operator
 
@@ -35,6 +37,17 @@ class Press(NamedTuple):
     asked: int
     answered: int | None  # the module that was pressed most; None: none in time
     peak: Floats  # (M,) most counts over the idle level
+
+
+class Untouched(NamedTuple):
+    """M taxels on K modules that nothing touches, as the daemon's own skin stage reads them."""
+
+    skin: Skin
+    level: Floats  # (M,) counts; nan where none is known
+    noise: Floats  # (M,) sd of a reading [counts]
+    t0: Floats  # (n, K) each module's temperature after each scan, nan where it is not known
+    fine: Bools  # (M,) taxels that a hub has, and that are neither saturated, dead nor stuck
+    faults: Mapping[str, Bools]  # fault → taxels (M,); a taxel has one fault at most
 
 
 @dataclass(frozen=True)
@@ -53,25 +66,38 @@ class Received:
     firmware: Mapping[str, str] = field(default_factory=dict)  # short id → versions, in words
 
     @cached_property
-    def idle(self) -> IdleReadings:
-        """Readings of each taxel in the idle period."""
-        return measured(self.layout, self.scans, self.period_ms / 1e3, self.full_scale_counts)
-
-    @property
-    def times(self) -> dict[int, Floats]:
-        """Times (n,) [s] of the complete scans of each hub."""
-        hubs = sorted({scan.ihb for scan in self.scans})
-        return {h: np.array([s.t for s in self.scans if s.ihb == h and s.complete]) for h in hubs}
-
-    @property
-    def damaged(self) -> int:
-        """Packets of the idle period that came and could not be used."""
-        return sum(self.link[kind] for kind in DAMAGES)
-
-    @property
-    def peak(self) -> Floats | None:
-        """(M,) most counts over idle in any press; None without presses."""
-        return np.max([p.peak for p in self.presses], axis=0) if self.presses else None
+    def untouched(self) -> Untouched | None:
+        """The skin at rest, by the whole scans since each hub's last module table; None where they
+        are too few for a baseline. Taxels that no hub has are without a fault."""
+        config = SkinConfig(full_scale_counts=self.full_scale_counts)
+        skin, m = Skin(self.layout, config, silent_s=np.inf), len(self.layout)
+        last = {scan.ihb: scan.table_version for scan in self.scans}
+        scans = [s for s in self.scans if s.complete and s.table_version == last[s.ihb]]
+        unread, over, t0 = np.zeros(m), np.zeros(m), []
+        for scan in scans:
+            skin.on_scan(scan)
+            unread += skin.counts == 0.0
+            over[skin.faults()["saturated_taxels"]] += 1.0
+            if (state := skin.state()) is not None:
+                t0.append(state.t0)
+        if (state := skin.state()) is None:
+            return None
+        tables = {scan.ihb: scan.table for scan in scans}.values()
+        heard = np.isin(self.layout.uid, [u for t in tables for module in t for u in module.uids])
+        often, is_stuck = INVALID * len(scans), np.zeros(m, dtype=bool)
+        is_stuck[skin.faults()["stuck_taxels"]] = True
+        faults = {
+            "saturated": heard & (over > often),
+            "dead": heard & (over <= often) & (unread - over > often),
+            "stuck": is_stuck,
+        }
+        fine = heard & ~np.any([*faults.values()], axis=0)
+        # noise under which the daemon's threshold is the same for all taxels does not matter
+        limit = FLOOR * self.full_scale_counts / config.threshold_sigmas
+        if fine.any():
+            limit = max(limit, STANDS_OUT * float(np.median(state.noise[fine])))
+        faults["noisy"] = fine & (np.isnan(state.baseline) | (state.noise > limit))
+        return Untouched(skin, state.baseline, state.noise, np.array(t0), fine, faults)
 
     def module(self, sui: int) -> str:
         """A module's serial number, and where on which hub it is."""
@@ -96,11 +122,17 @@ def receive(
         seconds = 0.0
     before, start = _counters(source), time.time()
     came = list(scans(source, seconds))
-    bring_up, link = _since(began, before), _since(before, _counters(source))
-    tables = _tables(source, {scan.ihb for scan in came})
-    span = start, time.time()
-    heard = layout, period_ms, full_scale, tables, bring_up, link, came, span
-    return Received(*heard, firmware=source.firmware)
+    return Received(
+        layout,
+        period_ms,
+        full_scale,
+        tables=_tables(source, {scan.ihb for scan in came}),
+        bring_up=before - began,
+        link=_counters(source) - before,
+        scans=came,
+        span=(start, time.time()),
+        firmware=source.firmware,
+    )
 
 
 def scans(source: Source, seconds: float) -> Iterator[Scan]:
@@ -118,10 +150,6 @@ def _counters(source: Source) -> Counter[str]:
     bus = {f"bus_{fault}": times for fault, times in source.bus.counts.items()}
     found = {**stats, **dropped, **asdict(source.counters), **bus}
     return Counter({name: value for name, value in found.items() if isinstance(value, int)})
-
-
-def _since(before: Counter[str], after: Counter[str]) -> Counter[str]:
-    return Counter({name: count - before[name] for name, count in after.items()})
 
 
 def _tables(source: Source, ids: set[int]) -> dict[int, Sequence[Module]]:
