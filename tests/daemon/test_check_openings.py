@@ -10,9 +10,11 @@ import pty
 import re
 import socket
 import tempfile
+import termios
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -22,7 +24,6 @@ from taxeld.commands import check
 from taxeld.config import endpoints
 from taxeld.config.file import load
 from taxeld.errors import SetupError
-from taxeld.source import socketcan
 from taxeld.source.device import AwayError
 from taxeld.source.sources import open_source
 from taxeld.stream import client
@@ -41,6 +42,11 @@ def place() -> Iterator[Path]:
     """A directory whose name is short enough for a socket."""
     with tempfile.TemporaryDirectory() as made:
         yield Path(made)
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client, "TIMEOUT_S", 0.1)
 
 
 @pytest.fixture
@@ -67,97 +73,99 @@ def line() -> Iterator[Path]:
 
 
 def configured(place: Path, device: Path | str = "", **tables: Table) -> Path:
-    """A daemon on a serial line, which serves nobody."""
+    """A daemon on a serial line, which serves nobody and has no object, which takes long to open."""
     nobody: dict[str, Table] = {"publish": {"endpoints": []}, "control": {"endpoint": ""}}
     source = {"kind": "serial", "channel": device}
-    return configuration(place, **{"source": source, **nobody, **tables})
+    return configuration(place, **{"source": source, "scene": {}, **nobody, **tables})
 
 
-def test_a_device_that_cannot_be_opened_is_refused(
-    place: Path, line: Path, request: pytest.FixtureRequest
-) -> None:
-    (place / "file").touch()
-    for device, reason in (
-        (place, "it is a directory"),
-        (place / "file", "it is no serial line"),
-        (place / "ttyACM0", "it is not there; is it plugged in?"),
-    ):
-        told = refused("check", configured(place, device))
-        assert told == f"source.channel: cannot open {device} ({reason})\n"
-    line.chmod(0)
-    request.getfixturevalue("plain_user")
-    told = refused("check", configured(place, line))
-    assert "permission denied; is this user in the group" in told
-
-
-UNOPENED = [  # source, what python-can or the kernel raises, and the beginning of the line
-    ({"interface": "PCAN"}, None, "source.interface: python-can knows no 'PCAN'; did you mean pc"),
+SPEED = "source.channel: {} must end with @ and a line speed, as /dev/null@115200"
+SOCKET = "taxeld.source.socketcan.socket.socket"
+SERIAL, SLCAN, PCAN = {"kind": "serial"}, {"interface": "slcan"}, {"interface": "pcan"}
+UNOPENED = [  # source, what fails how, and the beginning of the line
+    ({"interface": "PCAN"}, {}, "source.interface: python-can knows no 'PCAN'; did you mean pc"),
+    ({"interface": "kvasser"}, {}, "source.interface: python-can knows no 'kvasser'; did you mean"),
     (
         {"interface": "/dev/ttyACM0"},
-        None,
+        {},
         "source.interface: python-can knows no '/dev/ttyACM0'; it knows canalystii, cantact, ",
     ),
     (
-        {"interface": "pcan"},
-        OSError("pcanbasic library not found."),
+        PCAN,
+        {"can.Bus": Mock(side_effect=OSError("pcanbasic library not found."))},
         "source.interface: python-can cannot use pcan (pcanbasic library not found.); is its maker",
     ),
     (
         {"channel": "/dev/ttyACM7"},
-        None,
+        {},
         "source.channel: /dev/ttyACM7 is no name of a CAN interface, as can0 is; for an SLCAN "
         'adapter set source.interface = "slcan"',
     ),
+    (SLCAN | {"channel": "/dev/null"}, {}, "source.channel: cannot open /dev/null (it is no se"),
+    *((SLCAN | {"channel": s}, {}, SPEED.format(s)) for s in ("/dev/null@", "/dev/null@300")),
+    (SERIAL | {"channel": "{place}"}, {}, "source.channel: cannot open {place} (it is a director"),
     (
-        {"interface": "slcan", "channel": "/dev/null"},
-        None,
-        "source.channel: cannot open /dev/null (it is no serial line)",
+        SERIAL | {"channel": "{line}"},
+        {},
+        "source.channel: cannot open {line} (permission denied; is this user in the group",
     ),
 ]
 AWAY = [  # the same, of a device for which a run waits
     (
-        {"interface": "pcan"},
-        can.CanInitializationError("The value of a handle is invalid"),
-        "source.channel: cannot open pcan x (The value of a handle is invalid)",
+        PCAN,
+        {"can.Bus": Mock(side_effect=can.CanInitializationError("The value of a handle"))},
+        "source.channel: cannot open pcan x (The value of a handle)",
     ),
     (
         {"channel": "can0"},
-        OSError(errno.EAFNOSUPPORT, "Address family not supported by protocol"),
+        {SOCKET: Mock(side_effect=OSError(errno.EAFNOSUPPORT, "Address family"))},
         "source.channel: cannot open socketcan can0 (this kernel has no CAN: 'modprobe -a can "
         'can_raw\' loads it, and an SLCAN adapter, source.interface = "slcan", does without)',
     ),
     (
-        {"kind": "serial", "channel": "/dev/ttyACM77"},
-        None,
+        {"channel": "can77"},
+        {SOCKET: Mock(**{"return_value.bind.side_effect": OSError(errno.ENODEV, "")})},
+        "source.channel: no CAN interface 'can77'; bring it up: ip link set can77 up type can ",
+    ),
+    (
+        SERIAL | {"channel": "/dev/ttyACM77"},
+        {},
         "source.channel: cannot open /dev/ttyACM77 (it is not there; is it plugged in?)",
+    ),
+    (  # a driver's complaint is no OSError
+        SERIAL | {"channel": "{line}"},
+        {"termios.tcsetattr": Mock(side_effect=termios.error(errno.EIO, "Input/output error"))},
+        "source.channel: cannot open {line} (Input/output error)",
     ),
 ]
 
 
 @pytest.mark.parametrize(
-    ("source", "error", "line", "waits"),
+    ("source", "fails", "begin", "waits"),
     [*((*row, False) for row in UNOPENED), *((*row, True) for row in AWAY)],
     ids=lambda value: str(value)[:40],
 )
 def test_check_says_what_run_says_of_a_device_that_does_not_open(
     place: Path,
+    line: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
+    request: pytest.FixtureRequest,
     source: Table,
-    error: Exception | None,
-    line: str,
+    fails: dict[str, Mock],
+    begin: str,
     waits: bool,
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        assert error is not None
-        raise error
-
-    path = configured(place, source={"kind": "can", "channel": "x", **source})
-    if error is not None:
-        monkeypatch.setattr(can, "Bus", fail)
-        monkeypatch.setattr(socketcan.socket, "socket", fail)
+    keys = {"kind": "can", "channel": "x", **source}
+    keys["channel"] = keys["channel"].format(place=place, line=line)
+    path = configured(place, source=keys)
+    if "permission" in begin:
+        line.chmod(0)
+        request.getfixturevalue("plain_user")
+    for target, failing in fails.items():
+        monkeypatch.setattr(target, failing)
     told = refused("check", path).rstrip()
-    assert told.startswith(line)
+    assert told.startswith(begin.format(place=place, line=line))
     if waits:
         with contextlib.closing(open_source(load(path).source, SKIN, wait=True)):
             assert caplog.messages == [f"{told}; waiting for it"]
@@ -182,6 +190,11 @@ def test_a_device_that_another_process_has_is_refused_unless_a_daemon_answers(
         printed("check", path)  # who only has it open keeps nobody out
         fcntl.flock(held, fcntl.LOCK_EX)
         told = refused("check", path)
+        for kind in ({"kind": "serial"}, {"kind": "can", "interface": "slcan"}):
+            (other := place / "other").mkdir(exist_ok=True)
+            keys = load(configured(other, source=kind | {"channel": line})).source
+            with contextlib.closing(open_source(keys, SKIN, wait=True)) as waiting:
+                assert "another process has it open" in waiting.waits_for
         answering()
         printed("check", path)
     assert f"another process has it open; stop that first, 'fuser {line}' tells which" in told
@@ -274,11 +287,6 @@ def test_an_interface_that_is_down_is_noted(
 
 
 class TestUnanswered:
-    @pytest.fixture(autouse=True)
-    def _impatient(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(client, "TIMEOUT_S", 0.1)
-        monkeypatch.setattr(getpass, "getuser", lambda: "robin")
-
     @pytest.mark.parametrize(
         ("closed", "group", "cure"),
         [
@@ -306,6 +314,7 @@ class TestUnanswered:
     ) -> None:
         at = place / "run"
         at.mkdir()
+        monkeypatch.setattr(getpass, "getuser", lambda: "robin")
         monkeypatch.setattr(Path, "group", lambda _: group)
         monkeypatch.setattr(Path, "owner", lambda _: "rob3")
         with socket.socket(socket.AF_UNIX) as other:

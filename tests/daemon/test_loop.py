@@ -79,17 +79,6 @@ def plain(value: object) -> bool:
     return isinstance(value, (bool, int, float))
 
 
-def test_a_daemon_starts_without_a_kept_file_that_is_damaged(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / "kept.npz").write_bytes(b"PK" + bytes(1000))
-    daemon = Daemon(parse(settings(tmp_path) + f'[skin]\nstate_dir = "{tmp_path}"\n'))
-    with contextlib.closing(daemon):
-        daemon.tick(time.monotonic())
-    lines = [line for line in caplog.messages if "kept.npz" in line]
-    assert lines == [f"{tmp_path}/kept.npz: not used, it is damaged"]
-
-
 class Heard(list[tuple[bytes, dict[str, Any]]]):
     """What a daemon sends."""
 

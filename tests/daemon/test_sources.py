@@ -24,10 +24,9 @@ import pytest
 from can.interfaces.virtual import VirtualBus
 
 from taxeld.config.tables import SourceConfig
-from taxeld.errors import SetupError
 from taxeld.source import bus_faults, socketcan
 from taxeld.source.bus_faults import PASSED_S, BusFault
-from taxeld.source.device import AwayError, LostError
+from taxeld.source.device import LostError
 from taxeld.source.recorder import Recorder
 from taxeld.source.socketcan import SocketCanDevice
 from taxeld.source.sources import LiveSource, least_period_ms, open_device, open_source
@@ -37,7 +36,6 @@ from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import Answer, HubLink, VirtualIhb
 from tests.rig.conversations import NAMES, hold_host, load
 from tests.rig.given_device import GivenDevice
-from tests.rig.processes import python
 from tests.rig.sessions import items_of
 from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
 
@@ -307,23 +305,6 @@ def test_requests_go_out_and_wait_while_the_kernel_takes_none(
         any(device.send(BROADCAST, Command.DECLARE, b"") is None for _ in range(100_000))
 
 
-@pytest.mark.parametrize(
-    ("interface", "channel", "line"),
-    [
-        ("socketcan", "can77", r".*can77.*"),
-        ("socketcan", "lo", r".*lo.*"),
-        ("socketcan", "/dev/ttyACM0", r".*is no name of a CAN interface.*slcan.*"),
-        ("no_such", "x", r".*python-can knows no 'no_such'; .*"),
-        ("kvasser", "0", r".*did you mean kvaser\?"),
-    ],
-)
-def test_an_interface_that_is_none_is_one_line(interface: str, channel: str, line: str) -> None:
-    config = SourceConfig(kind="can", interface=interface, channel=channel)
-    with pytest.raises(SetupError, match=f"^source[.](channel|interface): {line}$") as raised:
-        open_device(config)
-    assert isinstance(raised.value, AwayError) == (channel in ("can77", "lo")), "it may come"
-
-
 # Interfaces of python-can.
 
 
@@ -496,11 +477,6 @@ def test_an_error_frame_of_another_form_is_a_damaged_frame(monkeypatch: pytest.M
     assert counted(source) == {"error": 1}
     source.close()
     bus.shutdown()
-
-
-def test_who_hears_no_bus_of_python_cans_does_not_load_it() -> None:
-    """It is a tenth of the time to start and of the memory."""
-    python("import sys, taxeld.service.loop; sys.exit('can' in sys.modules)")
 
 
 @pytest.mark.parametrize(
