@@ -21,7 +21,7 @@ from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from tests.rig.pressed_box import TRUTH, World
 
-from .test_advice import BODY_M, HANDLE_M, asked, follow, handled
+from .test_advice import asked, follow, handled
 
 TURNED = se2.compose(TRUTH, np.array([0.0, 0.0, np.pi]))  # the handle is on the other side
 OTHERS = 8  # approaches that were not advised
@@ -120,16 +120,6 @@ def test_a_link_whose_skin_faces_away_is_not_advised_though_it_would_come_first(
         assert best.p_sure > 0.95
         alone = handled((first, second)[1 - feels])
         assert asked(torn(alone), config).approaches[0].p_sure < 0.5
-
-
-def test_a_link_stops_at_a_part_that_the_outline_leaves_out(skin: Layout) -> None:
-    model = handled(skin)
-    beyond_m = BODY_M + skin.radius_m + 0.005
-    ways = np.array([[HANDLE_M - 0.01, 0.3, -np.pi / 2], [-beyond_m, 0.3, -np.pi / 2]])
-    down = lines.Lines(0, ways, np.full(2, -np.pi / 2), np.full(2, 0.6))
-    handle, nothing = lines.travel(down, model, np.zeros((1, 3)))[:, 0]
-    assert handle == pytest.approx(0.3 - skin.radius_m - 0.012 + lines.FELT_M, abs=5e-4)
-    assert np.isinf(nothing)
 
 
 def test_a_press_that_no_live_taxel_feels_tells_nothing(skin: Layout, both: Guesses) -> None:

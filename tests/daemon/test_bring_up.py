@@ -188,6 +188,15 @@ class MuteHub(VirtualIhb):
         return [] if packet.command == Command.MODULE_DETAILS else super().answer(packet)
 
 
+class OddHub(VirtualIhb):
+    """It declares other channels than its module's mask has."""
+
+    def answer(self, packet: Packet) -> list[Answer]:
+        answers = super().answer(packet)
+        declares = packet.command == Command.DECLARE and self.phase == Phase.RUNNING
+        return [(Command.DECLARE, bytes((1, 0, 3)))] if declares else answers
+
+
 @pytest.mark.parametrize(
     ("hubs", "options", "seconds", "sent"),
     [
@@ -213,6 +222,11 @@ def test_who_does_not_answer_is_looked_for_at_a_low_rate(
         (VirtualIhb(MODULES, 7, deaf_s=1e9, says_busy=True), "still answers BUSY to ", 8.0),
         (StuckHub(MODULES, uid=7), "stays in its bootloader: switch it off and on", 8.0),
         (VirtualIhb([Module(12, 9, 0xFFF, grouping=2)], 7), "is refused: module 9 is grouped", 3.2),
+        (
+            OddHub([Module(12, 9, 0xFFF)], 7),
+            "is refused: module 9 declares 3 channels, but its mask 0xfff has 12",
+            3.2,
+        ),
     ],
 )
 def test_a_hub_that_does_not_start_is_told_of_and_waited_for(
@@ -226,27 +240,12 @@ def test_a_hub_that_does_not_start_is_told_of_and_waited_for(
     assert len(caplog.messages) == 1, "it is told once"
     assert bus.bring_up.waits_for.startswith(f"hub 1 {line}")
     assert len(bus.sent) < 60 * rate_hz
+    assert not stuck.auto_sync
     bus.hubs = [VirtualIhb(listed([(9, 0xFFF)]), uid=7)]
     bus.run(60.0, 67.0)
     assert bus.bring_up.waits_for == ""
     assert bus.scans > 0
     assert caplog.messages[-1] == VERSIONS_LINE
-
-
-def test_a_module_that_declares_other_channels_than_its_mask_has_is_refused_with_its_hub() -> None:
-    class Odd(VirtualIhb):
-        def answer(self, packet: Packet) -> list[Answer]:
-            answers = super().answer(packet)
-            declares = packet.command == Command.DECLARE and self.phase == Phase.RUNNING
-            return [(Command.DECLARE, bytes((1, 0, 3)))] if declares else answers
-
-    odd, good = Odd([Module(12, 9, 0xFFF)], uid=7), VirtualIhb(MODULES, uid=8)
-    bus = HubBus(odd, good)
-    bus.run(0.0, 20.0)
-    refused = "hub 1 is refused: module 9 declares 3 channels, but its mask 0xfff has 12"
-    assert bus.bring_up.waits_for.startswith(refused)
-    assert not odd.auto_sync
-    assert bus.scans_s.keys() == {8}
 
 
 @pytest.mark.parametrize(
@@ -304,11 +303,12 @@ def test_who_keeps_what_a_table_led_to_by_its_version_takes_no_table_for_another
 
 
 def test_what_happens_to_one_hub_does_not_keep_another_from_streaming() -> None:
-    """It does not tell of its modules, or reboots, or is gone for good."""
+    """It does not tell of its modules, or is refused, or reboots, or is gone for good."""
     good, bad = pair()
-    for case in ("mute", "reboots", "gone"):
+    strange = {"mute": MuteHub(MODULES[1:2], uid=8), "odd": OddHub(MODULES[1:2], uid=8)}
+    for case in (*strange, "reboots", "gone"):
         good.reboot()
-        bus = HubBus(good, MuteHub(MODULES[1:2], uid=8) if case == "mute" else bad, late=True)
+        bus = HubBus(good, strange.get(case, bad), late=True)
         bus.run(0.0, 3.0)
         stops = bus.sent.count(Command.SET_AUTO_SYNC)
         if case == "reboots":

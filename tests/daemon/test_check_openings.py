@@ -73,7 +73,7 @@ def line() -> Iterator[Path]:
 
 
 def configured(place: Path, device: Path | str = "", **tables: Table) -> Path:
-    """A daemon on a serial line, which serves nobody and has no object, which takes long to open."""
+    """A daemon on a serial line; it serves nobody, and has no object, as that opens slowly."""
     nobody: dict[str, Table] = {"publish": {"endpoints": []}, "control": {"endpoint": ""}}
     source = {"kind": "serial", "channel": device}
     return configuration(place, **{"source": source, "scene": {}, **nobody, **tables})
@@ -143,7 +143,7 @@ AWAY = [  # the same, of a device for which a run waits
 @pytest.mark.parametrize(
     ("source", "fails", "begin", "waits"),
     [*((*row, False) for row in UNOPENED), *((*row, True) for row in AWAY)],
-    ids=lambda value: str(value)[:40],
+    ids=[begin[:60] for *_, begin in (*UNOPENED, *AWAY)],
 )
 def test_check_says_what_run_says_of_a_device_that_does_not_open(
     place: Path,

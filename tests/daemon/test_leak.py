@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from taxeld.config.tables import FilterConfig
 from taxeld.estimator.news import EstimatorCounters, Intake
 from taxeld.layout.layout import Layout
 from taxeld.model.leak import CROSS_TALK, REACH_M, Leak
-from taxeld.model.noise import Noise
 from taxeld.model.observation import Activation, ObservationModel
 
 
@@ -48,10 +46,3 @@ def test_a_reading_that_may_be_leaked_is_none_and_raises_what_is_felt(
     assert seen.z[beside] == 0.0
     assert seen.z[0] == 0.8
     assert np.broadcast_to(seen.floor, taxels)[beside] >= box_model.leak.of(z)[beside] > 0.03
-
-
-def test_a_reading_that_leaks_may_have_costs_a_pose_little() -> None:
-    noise = Noise(FilterConfig().noise_sigma, FilterConfig().gain_cv)
-    plain = noise.log_density(np.array(0.2), np.array(0.0))
-    leaked = noise.log_density(np.array(0.2), np.array(0.0), residue=0.12)
-    assert leaked > plain + 3.0

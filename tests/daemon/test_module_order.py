@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from taxeld.cli import main
 from taxeld.commands.record import Recording
 from taxeld.config.file import load, parse
 from taxeld.config.tables import SourceConfig
@@ -22,7 +21,7 @@ from taxeld.source.sources import LiveSource
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
-from taxeld_protocol.modules import listed
+from taxeld_protocol.modules import Module, listed
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig import skins
 from tests.rig.clocks import PATIENCE_S, until
@@ -80,22 +79,49 @@ def listener(modules: tuple[tuple[int, ...], ...] = ()) -> tuple[LiveSource, Giv
     return LiveSource(config, {0: SKIN}, lambda _: device), device
 
 
-def test_a_listener_reads_modules_in_the_order_of_the_list() -> None:
-    source, device = listener(LISTED)
-    device.frames = scan(VirtualIhb(MODULES))
+GROUPED = [replace(MODULES[0], grouping=2), *MODULES[1:]]
+REFUSED = f"hub 1 is refused: module {MODULES[0].sui} is grouped (grouping 2)"
+FIRST, SECOND = MODULES[:3], MODULES[3:]
+
+
+@pytest.mark.parametrize(
+    ("modules", "hubs", "tells", "read", "waits"),
+    [
+        (LISTED, [(MODULES, 1)], False, [1], ""),
+        ((), [(MODULES, 1)], True, [1], ""),
+        (LISTED, [(MODULES, 1), (MODULES, 2)], False, [1], ""),
+        (
+            tuple((m.sui, m.mask, ihb) for ihb, ms in ((7, SECOND), (1, FIRST)) for m in ms),
+            [(FIRST, 1), (SECOND, 7)],
+            False,
+            [1, 7],
+            "",
+        ),
+        ((), [(GROUPED, 1)], True, [], REFUSED),
+    ],
+    ids=[
+        "in the order of the list",
+        "it was there before the skin was started",
+        "a list without hubs is of one hub and not of the next",
+        "each module is listed with its hub",
+        "a grouped module",
+    ],
+)
+def test_a_listener_reads_the_hubs_whose_modules_it_knows(
+    modules: tuple[tuple[int, ...], ...],
+    hubs: list[tuple[list[Module], int]],
+    tells: bool,
+    read: list[int],
+    waits: str,
+) -> None:
+    source, device = listener(modules)
+    for hub in (VirtualIhb(own, short_id=ihb) for own, ihb in hubs):
+        device.frames += (frames(hub, told(hub)) if tells else []) + scan(hub)
     scans = source.poll(0.0)
-    assert len(scans) == 1
+    assert [scan.ihb for scan in scans] == read
     assert is_right(scans)
     assert source.fault == ""
-
-
-def test_a_listener_that_was_there_before_the_skin_was_started_needs_no_list() -> None:
-    source, device = listener()
-    hub = VirtualIhb(MODULES)
-    device.frames = frames(hub, told(hub)) + scan(hub)
-    scans = source.poll(0.0)
-    assert len(scans) == 1
-    assert is_right(scans)
+    assert source.waits_for.startswith(waits)
 
 
 def test_a_listener_without_a_list_decodes_nothing_and_says_what_is_missing() -> None:
@@ -145,34 +171,9 @@ def test_a_strange_packet_does_not_end_a_listener_that_hears_its_skin() -> None:
     assert source.decoder.stats()["undeclared"] == 100  # packets of the stranger's
 
 
-def test_with_several_hubs_each_module_is_listed_with_its_hub() -> None:
-    one, two = VirtualIhb(MODULES[:3], short_id=1), VirtualIhb(MODULES[3:], short_id=7)
-    source, device = listener(
-        tuple((m.sui or 0, m.mask, hub.short_id) for hub in (two, one) for m in hub.modules)
-    )
-    device.frames = scan(one) + scan(two)
-    scans = source.poll(0.0)
-    assert [scan.ihb for scan in scans] == [1, 7]
-    assert is_right(scans)
-
-
-def test_a_list_without_hubs_is_of_one_hub_and_not_of_the_next_as_well() -> None:
-    source, device = listener(LISTED)
-    device.frames = scan(VirtualIhb(MODULES)) + scan(VirtualIhb(MODULES, short_id=2))
-    assert [scan.ihb for scan in source.poll(0.0)] == [1]
-
-
 def test_a_list_of_another_skin_is_refused() -> None:
     with pytest.raises(SetupError, match=r"^source\.modules: none of its 1 modules is in [^\n]+$"):
         listener(((3535, 0xFFF),))
-
-
-def test_a_recording_that_does_not_tell_its_modules_is_refused_in_one_line(tmp_path: Path) -> None:
-    log(tmp_path, scan(VirtualIhb(MODULES)))
-    configured(tmp_path)
-    said = refused("replay", tmp_path)
-    assert said.startswith(f"source.modules: hub 1 of {tmp_path} streams")
-    assert MISSING in said
 
 
 @pytest.mark.parametrize("told_when", ["before", "after", "listed"])
@@ -188,19 +189,18 @@ def test_a_recording_is_read_by_what_it_tells_anywhere_or_by_the_list(told_when:
     assert is_right(scans)
 
 
-@pytest.mark.parametrize("source", [{}, {"modules": LISTED}], ids=["unlisted", "listed"])
-def test_decode_with_a_configuration_reads_by_its_list_or_refuses(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: dict[str, object]
+def test_a_log_that_does_not_tell_its_modules_is_read_by_the_configurations_list_or_refused(
+    tmp_path: Path,
 ) -> None:
     path = log(tmp_path, scan(VirtualIhb(MODULES)))
-    code = main(["decode", "--config", configured(tmp_path, **source), str(path)])
-    printed, errors = capsys.readouterr()
-    if source:
-        assert code == 0
-        assert json.loads(printed.splitlines()[0])["modules"] == [m.uids for m in MODULES]
-    else:
-        assert (code, printed, errors.count("\n")) == (2, "", 1)
-        assert errors.startswith(f"source.modules: hub 1 of {path} streams")
+    decode = ["decode", path, "--config", configured(tmp_path)]
+    for command, place in ((decode, path), (["replay", tmp_path], tmp_path)):
+        said = refused(*command)
+        assert said.startswith(f"source.modules: hub 1 of {place} streams")
+        assert MISSING in said
+    configured(tmp_path, modules=LISTED)
+    heard = json.loads(printed(*decode).splitlines()[0])
+    assert heard["modules"] == [m.uids for m in MODULES]
 
 
 @pytest.mark.parametrize("beside", ["config.toml", modules.FILE])
@@ -228,25 +228,23 @@ def test_decode_leaves_out_a_hub_whose_modules_only_another_hub_has_told(tmp_pat
     assert last["stats"]["undeclared"] > 0
 
 
-@pytest.mark.parametrize("source", [{}, {"modules": LISTED}], ids=["unlisted", "listed"])
-def test_check_tells_a_listener_without_a_list_when_it_must_be_started(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: dict[str, object]
-) -> None:
+def test_check_tells_a_listener_without_a_list_when_it_must_be_started(tmp_path: Path) -> None:
     with VirtualHub(tmp_path / "skin", MODULES) as hub:
-        config = configuration(tmp_path, source=hub.source | {"listen_only": True} | source)
-        assert main(["check", str(config)]) == 0
-    notes = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: ")]
-    assert [note.startswith("note: source.modules: lists none") for note in notes] == (
-        [] if source else [True]
-    )
+        source, noted = hub.source | {"listen_only": True}, "note: source.modules: lists none"
+        assert noted in printed("check", configuration(tmp_path, source=source))
+        listed_too = configuration(tmp_path, source=source | {"modules": LISTED})
+        assert noted not in printed("check", listed_too)
+
+
+def pasted(path: Path) -> SourceConfig:
+    text = path.read_text(encoding="utf-8")
+    return parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\n').source
 
 
 def test_what_is_written_for_a_listener_can_be_pasted(tmp_path: Path) -> None:
     for name, tables in (("one", {1: MODULES}), ("two", {1: MODULES[:2], 5: MODULES[2:]})):
         modules.write(tmp_path / name, tables)
-        text = (tmp_path / name).read_text(encoding="utf-8")
-        config = parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\nbundle = "box"\n')
-        given = modules.given(config.source, SKIN)
+        given = modules.given(pasted(tmp_path / name), SKIN)
         assert {ihb: given.of(ihb) for ihb in tables} == tables
 
 
@@ -277,21 +275,7 @@ def test_record_lists_the_modules_and_a_listener_reads_by_that_list(tmp_path: Pa
         printed, errors = process.communicate(timeout=PATIENCE_S)
     assert errors == ""
     assert f"{out / modules.FILE}, for source.modules" in printed
-    text = (out / modules.FILE).read_text(encoding="utf-8")
-    config = parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\nbundle = "box"\n')
-    assert config.source.modules == LISTED
-
-
-GROUPED = [replace(MODULES[0], grouping=2), *MODULES[1:]]
-REFUSED = f"hub 1 is refused: module {MODULES[0].sui} is grouped (grouping 2)"
-
-
-def test_a_hub_with_a_grouped_module_is_refused_and_its_scans_are_not_used() -> None:
-    source, device = listener()
-    hub = VirtualIhb(GROUPED)
-    device.frames = frames(hub, told(hub)) + scan(hub)
-    assert source.poll(0.0) == []
-    assert source.waits_for.startswith(REFUSED)
+    assert pasted(out / modules.FILE).modules == LISTED
 
 
 def test_a_recording_of_a_hub_that_is_refused_says_so_and_lists_no_modules(tmp_path: Path) -> None:

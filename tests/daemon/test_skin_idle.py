@@ -1,4 +1,7 @@
-"""The idle capture, touched and untouched, and the noise of each taxel."""
+"""The idle capture, touched and untouched, the noise of each taxel, and both over restarts."""
+
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,6 +9,7 @@ import pytest
 from taxeld.config.tables import SkinConfig
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
+from taxeld.skin.calibration import SkinState
 from taxeld.skin.rest import WINDOW
 from taxeld.skin.skin import Skin
 from tests.rig.simulated_skin import NOISE, SimulatedSkin, begun
@@ -89,3 +93,70 @@ def test_each_taxels_noise_is_known_ever_better_and_touches_do_not_raise_it(
         simulated.press[HELD] = 3_000.0 * (k % 2)
         list(simulated.lead(subject, 3.0 + 4.0 * (k % 2 == 0)))
     assert np.abs(subject.threshold / expected - 1.0).max() < 0.12 < early
+
+
+def stored(skin: Layout) -> tuple[SimulatedSkin, Skin, SkinState]:
+    """A skin, one that has read it, and what that keeps."""
+    simulated, subject = begun(skin, 4.0)
+    state = subject.state()
+    assert state is not None
+    return simulated, subject, state
+
+
+def restarted(skin: Layout, state: SkinState) -> Skin:
+    subject = Skin(skin, SkinConfig())
+    subject.restore(state)
+    return subject
+
+
+@pytest.mark.parametrize("warmth", [0.0, 1_000.0])
+def test_a_restarted_skin_feels_a_held_touch_from_the_first_scan_though_it_has_warmed(
+    skin: Layout, warmth: float
+) -> None:
+    simulated, before, state = stored(skin)
+    simulated.coefficient, simulated.warmth = 0.5, lambda t: warmth + 0.0 * t
+    simulated.press[HELD] = 5_000.0
+    learned = replace(state, coefficient=np.full(4, 0.5), leak=np.full(4, 0.04))
+    subject = restarted(skin, learned)
+    activation = subject.on_scan(simulated.scan())
+    assert activation is not None
+    assert np.flatnonzero(activation.z).tolist() == HELD
+    assert activation.z[HELD] == pytest.approx(0.25, abs=0.01)
+    assert activation.live.all()
+    assert subject.threshold == pytest.approx(before.threshold, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "happened",
+    [
+        lambda simulated: simulated.base.__iadd__(3_000.0),
+        lambda simulated: simulated.base.__isub__(3_000.0),
+        lambda simulated: simulated.rng.shuffle(simulated.base),
+        lambda simulated: simulated.press.__iadd__(5_000.0),
+    ],
+)
+def test_a_baseline_that_the_skin_does_not_confirm_is_captured_anew(
+    skin: Layout, happened: Callable[[SimulatedSkin], None]
+) -> None:
+    simulated, _, state = stored(skin)
+    happened(simulated)
+    subject = restarted(skin, state)
+    assert subject.on_scan(simulated.scan()) is None
+    simulated.run(subject, 3.0)
+    assert np.abs(subject.baseline - simulated.base - simulated.press).max() < 50.0
+
+
+def test_a_dead_taxel_is_judged_when_it_answers_and_a_first_scan_may_be_torn(
+    skin: Layout,
+) -> None:
+    simulated, _, state = stored(skin)
+    subject = restarted(skin, state)
+    torn = simulated.scan()
+    few = (*torn.counts[:12], *[-1] * (len(torn.counts) - 12))
+    assert subject.on_scan(replace(torn, counts=few)) is None
+    simulated.fixed[7] = 0
+    activation = subject.on_scan(simulated.scan())
+    assert activation is not None
+    assert np.flatnonzero(~activation.live).tolist() == [7]
+    del simulated.fixed[7]
+    assert simulated.run(subject, 0.1).live.all()
