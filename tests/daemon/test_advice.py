@@ -1,5 +1,5 @@
-"""Where to touch next: no approach begins near where the object may be, or beyond the link's reach;
-what is advised tells more than other touches; and advice changes no estimate."""
+"""Where to touch next: no approach begins near where the object may be, or beyond the link's reach,
+and what is advised tells more than other touches."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -169,18 +169,6 @@ def test_following_the_advice_finds_a_handle_that_the_first_touch_did_not_meet(
         if off_m(subject) < 0.005:
             break
     assert off_m(subject) < 0.005
-
-
-def test_advice_changes_no_estimate(box_model: ObservationModel) -> None:
-    alone, advised = estimator(box_model), estimator(box_model)
-    for subject in (alone, advised):
-        approach(subject, box_model)
-        if subject is advised:
-            asked(advised)
-        approach(subject, box_model, 10.0)
-    np.testing.assert_array_equal(alone.rule.belief.pose, advised.rule.belief.pose)
-    assert alone.estimate.p == advised.estimate.p
-    assert alone.estimate.proposal == advised.estimate.proposal
 
 
 def test_what_no_touch_can_tell_is_no_reason_for_another_one(

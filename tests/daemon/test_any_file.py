@@ -1,10 +1,235 @@
 """Whatever the files hold that the project reads: a value or one line, nothing else, no hang."""
 
+import contextlib
+import io
+import json
+import logging
 import random
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from logging.handlers import BufferingHandler
+from pathlib import Path
 
+import numpy as np
 import pytest
+from zmq.auth import create_certificates
 
-from tests.rig.readers import READERS, TOKENS, changed, used_or_refused
+from taxeld.commands.decode import decode
+from taxeld.config.file import load
+from taxeld.config.tables import FilterConfig, SkinConfig
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.model.observation import ObservationModel
+from taxeld.model.scene import Scene
+from taxeld.model.symmetry import PoseMetric
+from taxeld.proposals import bundle, manifest
+from taxeld.proposals.analytic import Manifold, Projection, check_contacts
+from taxeld.proposals.bundle import Bundle
+from taxeld.proposals.sampler import Sampler
+from taxeld.source import session
+from taxeld.stream import curve, messages
+from taxeld_hil.scenario import scenario
+from tests.rig.log_writers import bus, candump_log
+from tests.rig.sessions import read
+from tests.rig.skins import table_of
+
+from .test_layout_files import document
+
+ROOT = Path(__file__).parents[2]
+RECORDED = ROOT / "tests" / "daemon" / "session"
+SHIPPED = bundle.find("box")
+NOWHERE = Path("bundle")
+MOST = 1100  # characters of a line
+PROPOSALS = ("auto", "density", "ddpm", "table", "manifold", "projection")
+TOKENS = [  # what breaks readers
+    *(b"9" * 400, b"9" * 5000, b"0x" + b"f" * 5000, b"-1", b"1e999", b"nan", b"inf", b"null"),
+    *(b"[" * 2000, b"{" * 2000, b'{"a":' * 500, b"[[]]", b"\0", b"\n", b"\r", b"\xff\xfe", b'"'),
+    *(b"\x1b[31m", b"#", b",", b"=", b"LOBJ", b"\x1f\x8b\x08", b" " * 5000, b"x" * 70_000),
+]
+Use = Callable[[bytes], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """What reads a file, and whole files of its kind."""
+
+    use: Use  # raises SetupError; may put a line into the log
+    samples: Callable[[], list[bytes]]
+    examples: int = 60  # changed files of the tests
+
+
+@cache
+def _kept() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="readers-")
+
+
+def place() -> Path:
+    """Where files are put that have to have a path."""
+    return Path(_kept().name)
+
+
+@cache
+def loaded() -> Bundle:
+    """The shipped box."""
+    return bundle.load("box", layouts.load(SkinConfig().layout), 0.005)
+
+
+def used_or_refused(use: Callable[[], object]) -> None:
+    """It ends, and what a user sees of it is one line; of a log, one on damage, and one on modules
+    that are assumed."""
+    said, printed, log = [""], io.StringIO(), BufferingHandler(1000)
+    logging.getLogger("taxeld").addHandler(log)
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+        try:
+            use()
+        except SetupError as error:
+            said = getattr(error, "faults", [str(error)])
+        finally:
+            logging.getLogger("taxeld").removeHandler(log)
+    logged = [record.getMessage() for record in log.buffer]
+    for line in (*said, *logged):
+        assert line.isprintable(), repr(line)
+        assert len(line) <= MOST
+    assert len(logged) <= 1 + ("are assumed" in "".join(logged))
+    assert printed.getvalue() == ""
+
+
+def scene_used(scene: Scene) -> None:
+    """All that a start computes of a scene."""
+    layout = loaded().model.layout
+    model = ObservationModel(scene, layout, 0.005)
+    check_contacts(model)
+    z, live, rng = np.eye(1, len(layout))[0], np.ones(len(layout), bool), np.random.default_rng(0)
+    for make in (Projection, Manifold):
+        assert np.isfinite(make(model).propose(z, live, 5, rng)).all()
+    assert np.isfinite(PoseMetric(scene).arm_m)
+    assert np.isfinite([scene.size, scene.mean_radius]).all()
+
+
+def manifest_used(content: bytes) -> None:
+    """All that is asked of bundle.json after it was read."""
+    made = manifest.parse(content, NOWHERE)
+    found = replace(loaded(), manifest=made)
+    for name in (*PROPOSALS, *found.order):
+        used_or_refused(lambda name=name: found.resolve(name))  # type: ignore[misc]
+    for sampler in made.samplers:
+        assert found.resolve(sampler.name) == sampler.name
+    messages.info(found.model.layout, bundle.scenes([found]), str(FilterConfig()))
+
+
+def _in_file(name: str, read: Callable[[Path], object]) -> Use:
+    """For what is read by its path."""
+
+    def use(content: bytes) -> None:
+        (place() / name).write_bytes(content)
+        read(place() / name)
+
+    return use
+
+
+def _in_session(name: str) -> Use:
+    """A recorded session of which one file is another."""
+
+    def use(content: bytes) -> None:
+        directory = place() / f"session of {name}"
+        shutil.copytree(RECORDED, directory, dirs_exist_ok=True)
+        if name == session.FRAMES:
+            (directory / session.SERIAL).unlink()
+        (directory / name).write_bytes(content)
+        read(directory)
+
+    return use
+
+
+def _layout(name: str) -> Use:
+    def checked(path: Path) -> None:
+        skin = layouts.read(str(path))
+        assert len(skin) == len(set(skin.uid.tolist())) > 0
+        assert np.isfinite(skin.position_m).all()
+        assert np.isfinite(skin.frame).all()
+
+    return _in_file(name, checked)
+
+
+def _certificate(path: Path) -> None:
+    path.chmod(0o600)
+    curve.secret_key(path)
+
+
+def _frames() -> list[bytes]:
+    candump_log()(bus(3), place() / "made")
+    return [(place() / "made").read_bytes()]
+
+
+def _keys() -> list[bytes]:
+    create_certificates(place(), "made")
+    return [(place() / "made.key_secret").read_bytes()]
+
+
+READERS = {
+    "a.log": Reader(_in_file("a.log", lambda path: list(decode(path))), _frames),
+    "configuration": Reader(
+        _in_file("any.toml", load), lambda: [(ROOT / "examples" / "can0.toml").read_bytes()]
+    ),
+    "scenario": Reader(
+        _in_file("scenario.toml", lambda path: scenario.load(str(path))),
+        lambda: [path.read_bytes() for path in scenario.shipped().values()],
+    ),
+    "bundle.json": Reader(manifest_used, lambda: [(SHIPPED / "bundle.json").read_bytes()]),
+    "scene.npz": Reader(
+        lambda content: scene_used(manifest.parse_scene(content, NOWHERE)),
+        lambda: [(SHIPPED / "scene.npz").read_bytes()],
+        30,
+    ),
+    "sampler.onnx": Reader(
+        lambda content: Sampler(content, loaded().model.layout, "density", NOWHERE),
+        lambda: [(SHIPPED / "density-16.onnx").read_bytes()],
+        30,
+    ),
+    "layout.csv": Reader(
+        _layout("skin.csv"),
+        lambda: [table_of(layouts.load(SkinConfig().layout), uid=True).encode()],
+    ),
+    "layout.json": Reader(_layout("skin.json"), lambda: [json.dumps(document(16)).encode()]),
+    session.FRAMES: Reader(_in_session(session.FRAMES), _frames),
+    **{
+        name: Reader(_in_session(name), lambda name=name: [(RECORDED / name).read_bytes()])  # type: ignore[misc]
+        for name in (session.SERIAL, session.SERIAL_TIMES, session.POSES)
+    },
+    session.ABOUT: Reader(
+        _in_session(session.ABOUT),
+        lambda: [b"version = 1\nframes = 0\nchunks = 265\nbytes = 47173\nposes = 1017\n"],
+    ),
+    "key": Reader(_in_file("key", _certificate), _keys),
+}
+
+
+def changed(whole: bytes, rng: random.Random) -> bytes:
+    """A file with some bytes changed, cut out, put twice or put in, and perhaps cut short."""
+    data = bytearray(whole)
+    for _ in range(rng.randint(1, 4)):
+        # headers, names and directories stand at the edges
+        span = rng.choice([len(data), min(len(data), 300)])
+        at = rng.randrange(span + 1)
+        at = len(data) - at if rng.random() < 0.3 else at
+        length = rng.choice([1, 4, 30, 300])
+        match rng.randrange(6):
+            case 0 if at < len(data):
+                data[at] ^= 1 << rng.randrange(8)
+            case 1:
+                data[at : at + length] = rng.randbytes(length)
+            case 2:
+                del data[at : at + length]
+            case 3:
+                data[at:at] = data[at : at + length]
+            case 4:
+                data[at:at] = rng.choice(TOKENS)
+            case 5:
+                data[at : at + length] = rng.choice(TOKENS)
+    return bytes(data[: rng.randrange(len(data) + 1)] if rng.random() < 0.1 else data)
 
 
 @pytest.mark.parametrize("name", READERS)

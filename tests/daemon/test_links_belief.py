@@ -1,6 +1,5 @@
 """Several links touch one object: one belief learns from all of them."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +14,9 @@ from taxeld.model import se2
 from taxeld.model.observation import Activation, ObservationModel
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Table
+from tests.rig.pressed_box import TRUTH, World, box_side
 
 RING = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-OBJECT = np.array([0.1, -0.05, 0.7])
 AWAY = np.array([0.5, 0.0, 0.0])
 
 
@@ -27,30 +26,11 @@ def model() -> ObservationModel:
     return bundle.load("box", ring, further=[ring]).model
 
 
-def touches(model: ObservationModel, links: list[int]) -> Iterator[tuple[int, float, np.ndarray]]:
-    """Presses of the box at other sides, each by one of the links: (link, side, sensor)."""
-    for k, link in enumerate(links):
-        side = 2.4 * k + 0.3
-        out = np.array([np.cos(side), np.sin(side)])
-        far = 0.3
-        scene = model.links[link].scene
-        while True:  # approach until the link is pressed in by 3 mm
-            x, y = OBJECT[:2] + far * out
-            at = se2.compose(se2.inverse(OBJECT), np.array([x, y, 0.0]))
-            if scene.clearance(at[:1], at[1:2])[0][0] < model.layout.radius_m - 0.003:
-                break
-            far -= 0.0005
-        yield link, side, np.array([x, y, 0.4 * k])
-
-
 def press(subject: Estimator, model: ObservationModel, links: list[int]) -> None:
-    for k, (link, _, sensor) in enumerate(touches(model, links)):
-        seen = se2.compose(se2.inverse(sensor), OBJECT)
-        z = model.links[link].activation(seen[None])[0]
-        z = np.where(z > 0.05, z, 0.0)
-        live = np.ones(len(z), dtype=np.bool_)
-        for after, each in ((0.0, z), (0.05, z), (0.1, 0.0 * z), (0.5, 0.0 * z)):
-            subject.on_scan(Activation(float(k) + after, each, live), sensor, link)
+    """Each link at another side of the box."""
+    world = World(model)
+    for k, link in enumerate(links):
+        world.press(subject, 0.2 + 1.35 * k, link=link)
 
 
 def subject_of(model: ObservationModel) -> Estimator:
@@ -66,7 +46,7 @@ def test_touches_of_two_links_find_one_object(model: ObservationModel) -> None:
     estimate, memory = subject.estimate, subject.rule.memory
     assert estimate.contacts == 6
     assert estimate.status == Status.CONVERGED
-    assert subject.rule.metric.distance(estimate.map, OBJECT) < 0.01
+    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.01
     assert memory.link[memory.contact].tolist() == [0, 1, 0, 1, 0, 1]
     assert memory.number[memory.contact].tolist() == [1, 2, 3, 4, 5, 6]
     lessons = [subject.taught(4, link) for link in (0, 1)]
@@ -95,16 +75,16 @@ def test_links_of_other_sizes_are_remembered_together() -> None:
     model = ObservationModel(scene, big, 0.005, [of_small])
     subject = subject_of(model)
     press(subject, model, [0, 1, 0, 1, 1, 0])
-    assert subject.rule.metric.distance(subject.estimate.map, OBJECT) < 0.01
+    assert subject.rule.metric.distance(subject.estimate.map, TRUTH) < 0.01
 
 
 def test_a_link_that_falls_silent_in_a_touch_touches_nothing_any_more(
     model: ObservationModel,
 ) -> None:
     subject = subject_of(model)
-    _, _, sensor = next(touches(model, [1]))
-    seen = se2.compose(se2.inverse(sensor), OBJECT)
-    z = model.links[1].activation(seen[None])[0]
+    seen = box_side(model.links[1], 0.3, 0.003)
+    sensor = se2.compose(TRUTH, seen)
+    z = model.links[1].activation(se2.inverse(seen)[None])[0]
     live = np.ones(len(z), dtype=np.bool_)
     found = [
         subject.on_scan(Activation(t, pressed * z, live), sensor + away, link).contact

@@ -12,8 +12,7 @@ import pytest
 
 from taxeld.door.heard import REASON_MAX, as_pose
 
-from ..rig.processes import program
-from . import attacks
+from ..rig.processes import attacked
 from .stand import Stand, pose, robots_endpoint
 
 
@@ -106,7 +105,7 @@ def test_a_large_message_beside_the_poses_does_not_end_them(robot: Robot) -> Non
 def test_another_service_on_the_port_for_a_moment_does_not_end_the_poses(tmp_path: Path) -> None:
     endpoint = robots_endpoint()
     with Stand(tmp_path, robot=endpoint) as stand:
-        with program(attacks.NONSENSE, endpoint.rpartition(":")[2]):
+        with attacked("nonsense", endpoint):
             stand.until(lambda: stand.link.report.robot.refused)
         made = Robot(stand, endpoint)
         stand.until_bound(made.socket, endpoint)

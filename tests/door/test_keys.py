@@ -17,8 +17,7 @@ from taxeld.errors import SetupError
 from taxeld.stream import client, curve, topics
 
 from ..rig.clocks import PATIENCE_S
-from ..rig.processes import program, resident_bytes
-from . import attacks
+from ..rig.processes import attacked, resident_bytes
 from .stand import ANYWHERE, Stand, pose, robots_endpoint
 
 ROBOT, CLIENTS = "tcp://192.0.2.1:8", "tcp://192.0.2.1:9"
@@ -114,7 +113,7 @@ def test_newcomers_with_a_key_are_served_beside_a_flood_of_those_without_and_aft
     keyed: Keyed, tmp_path: Path
 ) -> None:
     own = curve.secret_key(tmp_path / "client/client.key_secret")
-    with program(attacks.STRANGE_KEYS, keyed.server.decode(), keyed.tcp):
+    with attacked("strange_keys", keyed.tcp, keyed.server.decode()):
         keyed.until(lambda: keyed.link.report.keys_refused > 300)
         for _ in range(3):
             keyed.received(keyed.listener(*own))

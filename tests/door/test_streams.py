@@ -12,7 +12,7 @@ from taxeld.door import streams
 from taxeld.stream import topics
 from taxeld.stream.sockets import open_socket
 
-from ..rig.processes import free_port
+from ..rig.processes import attacked, free_port, resident_bytes
 from ..rig.sockets import Sockets
 from .stand import INFO, QUEUE, Stand
 
@@ -122,3 +122,29 @@ def test_who_sends_too_large_a_frame_is_hung_up_on(tmp_path: Path, kind: int) ->
         client.send(b"\x01" + b"x" * 1024)
         assert events.poll(10_000), "nobody was disconnected"
         assert not server.poll(0)
+
+
+MOST_BYTES = 160 << 20
+ESTIMATES = 20  # that an honest subscriber hears meanwhile
+
+
+@pytest.mark.parametrize(
+    ("attack", "endpoint", "copies"),
+    [("shut", "ipc://{}/stream", 1), ("requests", "ipc://{}/control", 2)],
+)
+def test_an_attack_costs_neither_the_door_nor_honest_peers_anything(
+    tmp_path: Path, attack: str, endpoint: str, copies: int
+) -> None:
+    with Stand(tmp_path) as stand:
+        door, honest = stand.pid, stand.subscriber(b"/taxeld/e")
+        stand.received(honest)
+        lost = stand.losses(honest)
+        for _ in range(copies):
+            stand.enter_context(attacked(attack, endpoint.format(tmp_path)))
+        for _ in range(ESTIMATES):
+            stand.received(honest)
+        assert stand.answer({"cmd": "info"})["ok"]
+        stand.received(stand.subscriber(b"/taxeld/e"))
+        assert resident_bytes(door) < MOST_BYTES
+        assert stand.pid == door
+        assert not lost.poll(0)

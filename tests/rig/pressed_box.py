@@ -60,15 +60,17 @@ class World:
         """An estimator whose samples are near the truth."""
         return Estimator(self.model, Knowing(self), FilterConfig(**keys))  # type: ignore[arg-type]
 
-    def press(self, subject: Estimator, angle: float, depth_m: float = 0.003) -> Estimate:
+    def press(
+        self, subject: Estimator, angle: float, depth_m: float = 0.003, link: int = 0
+    ) -> Estimate:
         """Come near at an angle about the object, press, hold, let go; → the held estimate."""
-        seen = box_side(self.model, angle, depth_m)
-        away = box_side(self.model, angle, -0.02)
+        model = self.model.links[link]
+        seen, away = (box_side(model, angle, depth) for depth in (depth_m, -0.02))
         for at in (away, seen, seen, seen):
-            held = self.feel(subject, at)
-        self.feel(subject, away)
+            held = self.feel(subject, at, link)
+        self.feel(subject, away, link)
         self.t += 1.0
-        self.feel(subject, away)
+        self.feel(subject, away, link)
         return held
 
     def find(self, subject: Estimator, least: int = 1, most: int = 12) -> Estimate:
@@ -79,12 +81,13 @@ class World:
                 return estimate
         raise AssertionError(f"{estimate.status!r} with p = {estimate.p} after {most} touches")
 
-    def feel(self, subject: Estimator, at: Poses) -> Estimate:
+    def feel(self, subject: Estimator, at: Poses, link: int = 0) -> Estimate:
         self.sensor = se2.compose(self.truth, at)
-        z = np.minimum(self.gain * self.model.activation(se2.inverse(at)[None])[0], 1.0)
+        felt = self.model.links[link].activation(se2.inverse(at)[None])[0]
+        z = np.minimum(self.gain * felt, 1.0)
         self.t += 0.05
         activation = Activation(self.t, z, np.ones(len(z), dtype=bool))
-        return subject.on_scan(activation, self.sensor)
+        return subject.on_scan(activation, self.sensor, link)
 
 
 def box_side(model: ObservationModel, angle: float, depth_m: float) -> Poses:

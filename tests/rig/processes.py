@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+ATTACKS = Path(__file__).parents[1] / "vm" / "attacks.py"
 TAXELD = [sys.executable, "-m", "taxeld.cli"]
 PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
 
@@ -34,10 +35,10 @@ def python(
 
 
 @contextlib.contextmanager
-def program(code: str, *arguments: object) -> Iterator[None]:
-    """Meanwhile a Python program runs, which has said by a line that it is ready."""
-    command = [sys.executable, "-c", code, *map(str, arguments)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.PIPE) as process:
+def attacked(attack: str, endpoint: str, *more: str) -> Iterator[None]:
+    """Meanwhile an attacker is at work (tests/vm/attacks.py)."""
+    command = [sys.executable, str(ATTACKS), attack, endpoint, "3600", *more]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         process.stdout.readline()
         try:

@@ -17,7 +17,6 @@ from checks import check
 from touch import CONFIG, ON_VCAN0, PATIENCE_S, VCAN0, Touch, Unit, sh, until, vcan0_is_there
 
 from taxeld.config.tables import ControlConfig, LoopConfig
-from taxeld.door import settings
 from taxeld.estimator.estimate import Status
 from taxeld.stream import client
 
@@ -87,26 +86,6 @@ def the_loop_is_a_real_time_thread_with_locked_memory() -> str:
     assert locked is not None
     assert int(locked[1]) > 0
     return f"FIFO {wanted}, {int(locked[1]) // 1024} MB"
-
-
-@check
-def the_door_is_limited() -> str:
-    place = Path("/proc", str(VCAN0.door))
-    text = (place / "limits").read_text("ascii")
-    limits = dict(re.findall(r"^Max (.*?)  +\S+ +(\S+)", text, re.MULTILINE))
-    wanted = {
-        "data size": settings.MEMORY_BYTES,
-        "open files": settings.DESCRIPTORS,
-        "processes": 0,
-        "file size": 0,
-        "core file size": 0,
-        "locked memory": 0,
-        "realtime priority": 0,
-    }
-    assert {name: int(limits[name]) for name in wanted} == wanted, text
-    assert int((place / "oom_score_adj").read_text("ascii")) == settings.OOM_SCORE
-    assert os.sched_getscheduler(VCAN0.door) == os.SCHED_OTHER
-    return f"{settings.MEMORY_BYTES >> 20} MB"
 
 
 @check
