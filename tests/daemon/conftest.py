@@ -7,8 +7,12 @@ import pytest
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
+from taxeld.proposals import bundle
+from taxeld.proposals.bundle import Bundle
 
-from ..rig.scenes import DEPTH_MAX_M, box, disc, scene_of
+from ..rig import scenes
+from ..rig.scenes import DEPTH_MAX_M, disc, scene_of
+from ..rig.skins import SKIN
 from ..rig.sockets import Sockets
 
 
@@ -18,13 +22,19 @@ def skin() -> Layout:
 
 
 @pytest.fixture(scope="session")
+def box() -> Bundle:
+    """The shipped box, for the skin of most tests."""
+    return bundle.load("box", SKIN, DEPTH_MAX_M)
+
+
+@pytest.fixture(scope="session")
 def disc_model(skin: Layout) -> ObservationModel:
     return ObservationModel(scene_of(disc(0.05), skin, symmetry=0), skin, DEPTH_MAX_M)
 
 
 @pytest.fixture(scope="session")
 def box_model(skin: Layout) -> ObservationModel:
-    return ObservationModel(scene_of(box(0.03, 0.06), skin, symmetry=2), skin, DEPTH_MAX_M)
+    return ObservationModel(scene_of(scenes.box(0.03, 0.06), skin, symmetry=2), skin, DEPTH_MAX_M)
 
 
 @pytest.fixture

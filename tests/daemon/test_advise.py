@@ -14,20 +14,14 @@ from taxeld.config.file import load
 from taxeld.estimator.scans import Arrays
 from taxeld.model import se2
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
 from taxeld.stream import client
 from tests.rig.commands import printed, refused
 
 from .test_loop import settings
-from .test_pipeline import CONFIG, ROBOT, SKIN, TRUTH, pipeline_of, story, taken
+from .test_pipeline import CAN, CONFIG, ROBOT, TRUTH, pipeline_of, story, taken
 
 Answer = Callable[[dict[str, Any] | None], None]
-
-
-@pytest.fixture(scope="module")
-def box() -> Bundle:
-    return bundle.load("box", SKIN, 0.005)
 
 
 @pytest.fixture
@@ -54,7 +48,7 @@ def answered(memory: Arrays) -> dict[str, Any]:
 def config(tmp_path: Path) -> Path:
     """The daemon's configuration."""
     path = tmp_path / "can0.toml"
-    path.write_text(CONFIG + ROBOT, encoding="utf-8")
+    path.write_text(f"[source]\n{CAN}\n{CONFIG}{ROBOT}", encoding="utf-8")
     return path
 
 

@@ -41,7 +41,7 @@ def daemon_of(place: Path, endpoint: str, robot: str) -> Path:
     )
 
 
-@pytest.mark.parametrize("key", ["z", "counts"])
+@pytest.mark.parametrize("key", [pytest.param("z", marks=pytest.mark.check), "counts"])
 def test_the_box_is_found_by_arrays_and_again_in_the_replay(tmp_path: Path, key: str) -> None:
     endpoint, robot = f"ipc://{tmp_path}/skin", f"tcp://127.0.0.1:{free_port()}"
     config, recorded = daemon_of(tmp_path, endpoint, robot), tmp_path / "session"

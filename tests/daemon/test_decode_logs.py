@@ -122,11 +122,10 @@ def test_a_log_of_another_form_is_refused_with_the_command_that_converts_it(
     assert stats["frames"] == len(FRAMES)
 
 
-def test_a_directory_is_no_log_and_the_line_says_what_is(tmp_path: Path) -> None:
+def test_a_directory_or_a_log_of_several_interfaces_is_refused_with_what_to_name(
+    tmp_path: Path,
+) -> None:
     assert "of a session its frames.log or serial.bin" in refused("decode", tmp_path)
-
-
-def test_of_several_interfaces_one_is_to_be_kept(tmp_path: Path) -> None:
     log = tmp_path / "any.log"
     candump_log("can0")(FRAMES, log)
     log.write_text("(1700000000.1) can1 101#43\n" + log.read_text())

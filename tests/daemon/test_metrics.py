@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import msgpack
+import pytest
 import zmq
 
 from taxeld.stream import topics
@@ -22,6 +23,7 @@ METRIC = re.compile(
 )
 
 
+@pytest.mark.check
 def test_health_becomes_a_file_of_metrics_that_goes_when_health_does(
     sockets: Sockets, tmp_path: Path
 ) -> None:

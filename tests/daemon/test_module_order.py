@@ -18,7 +18,6 @@ from taxeld.errors import SetupError
 from taxeld.source import modules
 from taxeld.source.modules import UNPLACED_S
 from taxeld.source.sources import LiveSource
-from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import Module, listed
@@ -31,7 +30,7 @@ from tests.rig.given_device import GivenDevice
 from tests.rig.logged import warnings
 from tests.rig.processes import PIPES, taxeld
 from tests.rig.skins import SKIN
-from tests.rig.virtual_hub import VirtualHub, told
+from tests.rig.virtual_hub import VirtualHub, frames_of, told
 
 # a hub's own order, each module with taxels that the layout does not have
 MODULES = listed((module.sui or 0, 0xFFF) for module in reversed(skins.MODULES))
@@ -41,11 +40,7 @@ MISSING = "DECLARE and MODULE_DETAILS were not heard"
 
 
 def frames(hub: VirtualIhb, answers: Iterable[Answer], t: float = 1.0) -> list[Frame]:
-    return [
-        frame
-        for command, payload in answers
-        for frame in cyskin.to_frames(command, payload, ihb=hub.short_id, t=t)
-    ]
+    return frames_of(answers, hub.short_id, t)
 
 
 def scan(hub: VirtualIhb, t: float = 1.0) -> list[Frame]:

@@ -15,18 +15,15 @@ from hypothesis import strategies as st
 
 from taxeld.commands.replay import outcomes, replay
 from taxeld.config.file import load, parse
-from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Status
-from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.pipeline.poses import EXTRAPOLATE_S
-from taxeld.proposals import bundle, choice
+from taxeld.proposals import choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
-from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
@@ -34,14 +31,11 @@ from tests.rig.configurations import configuration
 from tests.rig.recorded import write_session
 from tests.rig.sessions import items_of, poses_of
 from tests.rig.simulated_skin import SimulatedSkin
-from tests.rig.virtual_hub import told
+from tests.rig.skins import SKIN
+from tests.rig.virtual_hub import frames_of, told
 
-SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-SKIN = layouts.load(SPEC)
-CONFIG = (
-    '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n[filter]\n'
-    'proposal = "manifold"\n'
-)
+CAN = 'kind = "can"\nchannel = "can0"'
+CONFIG = '[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\n'
 ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
 TRUTH = np.array([0.02, -0.03, 0.4])
 HOUR_S = 3600.0
@@ -49,24 +43,12 @@ LEARNED = 24  # scans until the baseline is there, and some more
 START_S = 10_000.0
 
 
-@pytest.fixture(scope="module")
-def box() -> Bundle:
-    return bundle.load("box", SKIN, 0.005)
-
-
-def config_of(text: str = "") -> Config:
-    return parse(CONFIG + text)
-
-
-def pipeline_of(box: Bundle, text: str = "", extrapolate_s: float = 0.0) -> Pipeline:
-    config = config_of(text)
-    return Pipeline(
-        config,
-        [SKIN],
-        [box.model],
-        choice.samples([box], config.filter),
-        extrapolate_s=extrapolate_s,
-    )
+def pipeline_of(
+    box: Bundle, text: str = "", extrapolate_s: float = 0.0, source: str = CAN
+) -> Pipeline:
+    config = parse(f"[source]\n{source}\n{CONFIG}{text}")
+    samples = choice.samples([box], config.filter)
+    return Pipeline(config, [SKIN], [box.model], samples, extrapolate_s=extrapolate_s)
 
 
 def begun(
@@ -325,10 +307,9 @@ def recorded(box: Bundle, place: Path, by: float = 0.0) -> None:
             later = by if arrival > START_S + 1.9 else 0.0
             if isinstance(event, Scan):
                 answers += hub.sensor_data(list(event.counts))
-                while answers:
-                    command, payload = answers.pop(0)
-                    for frame in cyskin.to_frames(command, payload, ihb=1, t=arrival + later):
-                        recorder.take(frame)
+                for frame in frames_of(answers, t=arrival + later):
+                    recorder.take(frame)
+                answers = []
             else:
                 recorder.pose(event[0] + later, *event[1:])
 

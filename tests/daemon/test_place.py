@@ -6,43 +6,29 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from taxeld.config.file import parse
 from taxeld.estimator.estimate import Status
-from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.symmetry import add_m
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.pipeline.poses import EXTRAPOLATE_S
-from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld_protocol.decoder import Scan
 from tests.rig.simulated_skin import SimulatedSkin
+from tests.rig.skins import SKIN
 
-RADIUS_M = 0.04
-SKIN = layouts.load(f"cylinder:rows=5,columns=16,radius_m={RADIUS_M},pitch_m=0.015")
-ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
-TRUTH = np.array([0.02, -0.03, 0.4])
-CAN = 'kind = "can"\nchannel = "can0"'
+from .test_pipeline import CAN, ROBOT, START_S, TRUTH, pipeline_of
+
+RADIUS_M = SKIN.radius_m
 SLCAN = 'kind = "can"\ninterface = "slcan"\nchannel = "/dev/ttyACM0"'
 SERIAL = 'kind = "serial"\nchannel = "/dev/ttyUSB0"'
-START_S = 10_000.0
 EVERY = 9  # of so many poses one arrives
 FAST_M_S = 0.25
 AFTER_S = 0.003  # of a pose, until a scan
 
 
-@pytest.fixture(scope="module")
-def box() -> Bundle:
-    return bundle.load("box", SKIN, 0.005)
-
-
-def pipeline_of(box: Bundle, source: str = CAN) -> Pipeline:
-    config = parse(
-        f'[source]\n{source}\n[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\n{ROBOT}'
-    )
-    samples = choice.samples([box], config.filter)
-    return Pipeline(config, [SKIN], [box.model], samples, extrapolate_s=EXTRAPOLATE_S)
+def placed(box: Bundle, source: str = CAN) -> Pipeline:
+    return pipeline_of(box, ROBOT, EXTRAPOLATE_S, source)
 
 
 class Sweep:
@@ -97,10 +83,10 @@ def is_sure(outcome: Outcome) -> bool:
 
 
 def test_with_one_pose_of_nine_estimates_are_right_and_less_sure(box: Bundle) -> None:
-    whole = list(Sweep(box).felt_by(pipeline_of(box), every=1))
+    whole = list(Sweep(box).felt_by(placed(box), every=1))
     assert not any(misleads(box, outcome) for outcome in whole)
     for first in range(0, EVERY, 2):
-        thin = list(Sweep(box).felt_by(pipeline_of(box), EVERY, first))
+        thin = list(Sweep(box).felt_by(placed(box), EVERY, first))
         assert not any(misleads(box, outcome) for outcome in thin)
         assert add_m(box.model.scene, thin[-1].estimate.map, TRUTH)[1] < 0.01
         assert sum(map(is_sure, thin)) < sum(map(is_sure, whole))
@@ -109,7 +95,7 @@ def test_with_one_pose_of_nine_estimates_are_right_and_less_sure(box: Bundle) ->
 def why_not(box: Bundle, m_s: float, age_s: float, source: str = CAN, late_s: float = 0.0) -> Why:
     """Why the last scan is of no use to a skin that moves, whose poses are of `age_s` before each
     scan, where that scan was read late."""
-    pipeline, skin = pipeline_of(box, source), SimulatedSkin(SKIN, noise=5.0)
+    pipeline, skin = placed(box, source), SimulatedSkin(SKIN, noise=5.0)
     for k in range(24):
         skin.t += late_s * (k == 23)
         scan = skin.scan()

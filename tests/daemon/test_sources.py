@@ -30,7 +30,6 @@ from taxeld.source.device import LostError
 from taxeld.source.recorder import Recorder
 from taxeld.source.socketcan import SocketCanDevice
 from taxeld.source.sources import LiveSource, least_period_ms, open_device, open_source
-from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import Answer, HubLink, VirtualIhb
@@ -38,6 +37,7 @@ from tests.rig.conversations import NAMES, hold_host, load
 from tests.rig.given_device import GivenDevice
 from tests.rig.sessions import items_of
 from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
+from tests.rig.virtual_hub import frames_of
 
 LISTENING: dict[str, Any] = {"listen_only": True, "modules": LISTED}
 CONFIG = SourceConfig(kind="can", channel="can0", **LISTENING)
@@ -136,8 +136,7 @@ def counts(k: int) -> list[int]:
 
 
 def scan_frames(k: int, t: float = 0.0) -> list[Frame]:
-    packets = VirtualIhb(MODULES).sensor_data(counts(k))
-    return [frame for packet in packets for frame in cyskin.to_frames(*packet, ihb=1, t=t)]
+    return frames_of(VirtualIhb(MODULES).sensor_data(counts(k)), t=t)
 
 
 def test_frames_come_out_as_they_are_with_the_time_of_each(
@@ -368,9 +367,8 @@ def test_a_cold_hub_on_a_bus_is_led_out_of_its_bootloader_and_full_buses_are_wai
             if hub.due(0.01 * tick):
                 answers += hub.sensor_data(counts(scans))
                 scans += 1
-            for command, payload in answers:
-                for frame in cyskin.to_frames(command, payload, ihb=hub.short_id):
-                    bus.send(message(frame))
+            for frame in frames_of(answers, hub.short_id):
+                bus.send(message(frame))
             for scan in source.poll(0.01 * tick):
                 assert list(scan.counts) == counts(scan.counts[0] // 1000)
         assert scans > 10

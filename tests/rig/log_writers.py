@@ -12,6 +12,7 @@ from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import Module, encode_details
 from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.rig.virtual_hub import frames_of
 
 MODULES = [Module(12, 0x51, 0xFFF), Module(11, 0x37, 0x7FF)]
 CHANNELS = 23
@@ -36,8 +37,7 @@ def bus(scans: int = 6) -> list[Frame]:
         (cyskin.Command.MODULE_DETAILS, encode_details(i, module))
         for i, module in enumerate(MODULES)
     ]
-    for command, payload in packets:
-        frames += cyskin.to_frames(command, payload, ihb=1)
+    frames += frames_of(packets)
     frames.append(Frame(0.0, 0x18DAF110, b"\x01\x02", extended=True))
     frames.append(Frame(0.0, 0x7F0, b""))
     t, stamped = 0.0, list[Frame]()
@@ -46,10 +46,9 @@ def bus(scans: int = 6) -> list[Frame]:
         t += FRAME_S
     for scan in range(scans):
         t = (scan + 1) * PERIOD_S
-        for command, payload in hub.sensor_data(values_of(scan)):
-            for frame in cyskin.to_frames(command, payload, ihb=1):
-                stamped.append(frame._replace(t=round(START_S + t, 6)))
-                t += FRAME_S
+        for frame in frames_of(hub.sensor_data(values_of(scan))):
+            stamped.append(frame._replace(t=round(START_S + t, 6)))
+            t += FRAME_S
     return stamped
 
 

@@ -2,18 +2,17 @@
 
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 
-from taxeld_protocol import cyskin
 from taxeld_protocol.frames import format_log_line
-from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
+from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.configurations import QUIET, Table, configuration
 from tests.rig.skins import CHANNELS, MODULES
-from tests.rig.virtual_hub import VirtualHub, told
+from tests.rig.virtual_hub import VirtualHub, frames_of, told
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
 
@@ -39,17 +38,11 @@ def scans(touches: int, rest: int = 0) -> Iterator[list[int]]:
 def write_session(place: Path, touches: int = 1) -> None:
     """`frames.log` in `place`: the scans, after what the hub told of its modules."""
     ihb = VirtualIhb(MODULES)
-    lines: list[str] = []
-
-    def log(answers: Iterable[Answer], t: float) -> None:
-        for command, payload in answers:
-            frames = cyskin.to_frames(command, payload, ihb=ihb.short_id, t=t)
-            lines.extend(map(format_log_line, frames))
-
-    log(told(ihb), 1e9)
+    frames = frames_of(told(ihb), t=1e9)
     for number, counts in enumerate(scans(touches)):
-        log(ihb.sensor_data(counts), 1e9 + number * PERIOD_S)
-    (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
+        frames += frames_of(ihb.sensor_data(counts), t=1e9 + number * PERIOD_S)
+    lines = "\n".join(map(format_log_line, frames))
+    (place / "frames.log").write_text(lines + "\n", encoding="ascii")
 
 
 class LiveSkin(threading.Thread):

@@ -22,6 +22,11 @@ def told(hub: VirtualIhb) -> list[Answer]:
     return [a for request in asked for a in hub.answer(Packet(0.0, BROADCAST, *request))]
 
 
+def frames_of(answers: Iterable[Answer], ihb: int = 1, t: float = 0.0) -> list[Frame]:
+    """Answers of a hub as they go over CAN."""
+    return [frame for answer in answers for frame in cyskin.to_frames(*answer, ihb=ihb, t=t)]
+
+
 class StuckHub(VirtualIhb):
     """It does not leave its bootloader."""
 
