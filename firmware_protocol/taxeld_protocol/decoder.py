@@ -28,6 +28,7 @@ class Scan:
     table: tuple[Module, ...]  # modules of the channels, in the order of the counts
     table_version: int
     rest: int = 0  # counts of all taxels at rest, where the sender knows them; 0: they are learned
+    link: int = 0  # number of the robot's link whose taxels these are
 
     @property
     def complete(self) -> bool:

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -124,8 +125,7 @@ def test_check_notes_that_nothing_will_be_estimated(tmp_path: Path) -> None:
 def test_init_writes_a_configuration_without_an_object(tmp_path: Path) -> None:
     path = tmp_path / "skin.toml"
     layout = SkinConfig().layout
-    options = ["--source", "can:can0", "--bundle", "", "--layout", layout, "--poses", ""]
-    assert main(["init", str(path), *options]) == 0
+    assert main(["init", str(path), "--source", "can:can0", "--layout", layout]) == 0
     written = load(path)
     assert (written.scene.names, written.skin.layout) == ((), layout)
 
@@ -136,8 +136,8 @@ def test_each_of_several_links_is_served() -> None:
     skins = [SimulatedSkin(SKIN, seed=k) for k in range(2)]
     for scan in range(30):
         skins[1].press[40] = 9000.0 * (scan >= 25)
-        scans = [[skin.scan()] for skin in skins]
-        outcomes = list(server.advance(scans[0], skins[0].t, scans[1]))
+        scans = [replace(skin.scan(), link=k) for k, skin in enumerate(skins)]
+        outcomes = list(server.advance(scans, skins[0].t))
     felt = {one.link: one.activation for one in outcomes}
     assert [felt[k] is not None and felt[k].z.any() for k in range(2)] == [False, True]  # type: ignore[union-attr]
     assert server.estimate.contact

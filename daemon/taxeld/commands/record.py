@@ -82,9 +82,9 @@ class Recording:
                 now_s = time.monotonic()
                 door.look(now_s)
                 scans = polled(sources, now_s)
-                self.scans += sum(map(len, scans))
+                self.scans += len(scans)
                 if on_poll is not None:
-                    on_poll(scans[0], tracks[0])
+                    on_poll([scan for scan in scans if not scan.link], tracks[0])
                 time.sleep(POLL_S)
         return self._summary() + self._listed(sources[0])
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -156,10 +156,8 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
         if record.steps > steps:
             pipeline.clock_stepped(record.t - before)
         steps, before = record.steps, record.t
-        scans: list[list[Scan]] = [[] for _ in stages]
-        for source in sources:
-            source.take(record, scans)
-        yield from pipeline.advance(scans[0], record.t, *scans[1:])
+        scans = [scan for source in sources for scan in source.take(record)]
+        yield from pipeline.advance(scans, record.t)
         if not isinstance(record.item, OfSkin) and record.link < len(stages):
             stages[record.link].poses.add(*record.item)
     yield from pipeline.advance((), math.inf)
@@ -175,11 +173,10 @@ class RecordedSource:
         self._directory, self._config, self._alone = directory, config, alone
         self._layout, self._links = joint(list(skins.values())), LinkTable(skins)
 
-    def take(self, record: Record, into: Sequence[list[Scan]]) -> None:
-        """Add the scans that its record ends to those `into` a list for each link."""
-        if self._has(record):
-            for _, scans in self._decoder.take([record.item]):
-                self._links.sort(scans, into)
+    def take(self, record: Record) -> list[Scan]:
+        """The scans that its record ends; none where the record is another source's."""
+        decoded = self._decoder.take([record.item]) if self._has(record) else ()
+        return self._links.of(scan for _, scans in decoded for scan in scans)
 
     def _has(self, record: Record) -> bool:
         item, is_array = record.item, self._config.kind == "array"

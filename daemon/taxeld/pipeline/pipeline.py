@@ -183,20 +183,17 @@ class Pipeline:
         """Whether a skin is."""
         return any(stage.skin.touched for stage in self.stages)
 
-    def advance(
-        self, scans: Iterable[Scan], now: float, *further: Iterable[Scan]
-    ) -> Iterator[Outcome]:
-        """Take the scans that have arrived by `now`, of the first link and of each of the
-        `further`; the sensor poses that have are already added. → outcomes of these scans, and of
-        scans that had been waiting: of all of them where `now` is inf.
+    def advance(self, scans: Iterable[Scan], now: float) -> Iterator[Outcome]:
+        """Take the scans that have arrived by `now`; the sensor poses that have are already added.
+        → outcomes of these scans, and of scans that had been waiting: of all of them where `now` is
+        inf.
 
         A scan waits for a pose at or after its time, which may be on its way, but no longer than
         `sensor_pose.wait_s`; and for earlier scans of other links that wait.
         """
-        for stage, came in zip(self.stages, (scans, *further), strict=False):
-            for scan in came:
-                if not stage.arrive(scan, now, self.stepped_s):
-                    yield Outcome(self.estimate, link=self.stages.index(stage))
+        for scan in scans:
+            if not self.stages[scan.link].arrive(scan, now, self.stepped_s):
+                yield Outcome(self.estimate, link=scan.link)
         while waiting := [stage for stage in self.stages if stage.waiting]:
             first = min(waiting, key=lambda stage: stage.waiting[0][1].t)
             if not first.is_due(now, self.stepped_s):

@@ -156,19 +156,18 @@ class Daemon:
         if any(ready) or pipeline.has_waiting or now_s >= self._next_look_s:
             self._next_look_s = now_s + LOOK_S
             self.door.look(now_s)
-        scans, *further = polled(self.inputs.sources, now_s)
-        has_scans = bool(scans) or any(further)
+        scans = polled(self.inputs.sources, now_s)
         source_us = (time.perf_counter_ns() - start_ns) / 1000.0
         cpu_ns = time.thread_time_ns()
         # scans are stamped while polled, so the time must be read after that
-        for outcome in pipeline.advance(scans, time.time() if has_scans else wall_s, *further):
+        for outcome in pipeline.advance(scans, time.time() if scans else wall_s):
             pipeline.freshness.came(now_s, outcome.link)
             start_ns = publisher.outcome(outcome, source_us, start_ns, now_s)
             source_us = 0.0  # the time counts for the first scan alone
             before_ns, cpu_ns = cpu_ns, time.thread_time_ns()
             if outcome.is_used and outcome.estimate.injected:
                 self._judge_touch(cpu_ns - before_ns)
-        if not (has_scans or ready.device) and pipeline.has_thought:
+        if not (scans or ready.device) and pipeline.has_thought:
             thought = pipeline.think()
             if thought is not None:
                 publisher.thought(thought, now_s)

@@ -1,7 +1,8 @@
 """The links that are on one source."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -20,11 +21,13 @@ class LinkTable:
         self._uids = {k: set(layout.uid.tolist()) for k, layout in skins.items()}
         self._of: dict[int, tuple[int, tuple[int, ...]]] = {}  # hub → table's version, links
 
-    def sort(self, scans: Sequence[Scan], into: Sequence[list[Scan]]) -> None:
-        """Add scans to those `into` a list for each link of the configuration."""
-        for scan in scans:
-            for number in self._links(scan):
-                into[number].append(scan)
+    def of(self, scans: Iterable[Scan]) -> list[Scan]:
+        """The scans with the number of their link, each once for every link that it is of."""
+        return [
+            replace(scan, link=number) if number else scan
+            for scan in scans
+            for number in self._links(scan)
+        ]
 
     def _links(self, scan: Scan) -> tuple[int, ...]:
         """The links of a scan; the first where it has no taxel of any."""

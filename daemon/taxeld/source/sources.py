@@ -123,12 +123,9 @@ def open_sources(config: Config, layouts: Sequence[Layout], open_one: Open) -> l
     return found
 
 
-def polled(sources: Sequence[Source], now_s: float) -> list[list[Scan]]:
-    """The scans of each link that have come by the monotonic time `now_s`."""
-    came: list[list[Scan]] = [[] for source in sources for _ in source.links.numbers]
-    for source in sources:
-        source.links.sort(source.poll(now_s), came)
-    return came
+def polled(sources: Sequence[Source], now_s: float) -> list[Scan]:
+    """The scans of all links that have come by the monotonic time `now_s`."""
+    return [scan for source in sources for scan in source.links.of(source.poll(now_s))]
 
 
 def open_source(

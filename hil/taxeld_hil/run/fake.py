@@ -63,8 +63,7 @@ class FakeDaemon:
             for frame in line.take() if source.comes_by_door else ():
                 if isinstance(frame, ArrayFrame):
                     source.hear(frame)
-        came = polled(self.sources, t)
-        for outcome in self.pipeline.advance(came[0], t, *came[1:]):
+        for outcome in self.pipeline.advance(polled(self.sources, t), t):
             self.pipeline.freshness.came(t, outcome.link)
 
     def estimate(self, t: float) -> Estimate:
