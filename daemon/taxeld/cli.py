@@ -191,7 +191,7 @@ def _prior(args: argparse.Namespace) -> int:
     """
     x, y, yaw = args.at
     theta = None if math.isnan(yaw) else yaw
-    _answer(args, "prior", x=x, y=y, theta=theta, cov=args.sd, object=args.object)
+    _answer(args, "prior", x=x, y=y, theta=theta, cov=args.sd)
     print("the prior is taken; touches may refute it")
     return 0
 
@@ -213,7 +213,7 @@ def _advise(args: argparse.Namespace) -> int:
     from taxeld.commands import advise
 
     config = load(args.config)
-    reach = Reach(box_m=tuple(args.reach), yaw_deg=tuple(args.yaw_deg))
+    reach = Reach(box_m=tuple(args.reach))
     for advice in advise.follow(config, reach, command_line.stopping()):
         if args.json:
             print(advise.as_json(advice, config.names), flush=True)
@@ -253,7 +253,6 @@ CONFIG = _given("config", "CONFIG", "a configuration", Path)
 DAEMON_ABOUT = "of a daemon (default: of the service, or of this user)"
 SOURCE_ABOUT = "can:can0, slcan:DEVICE, serial:DEVICE or array:ENDPOINT"
 DAEMON = _given("daemon", "CONFIG|ENDPOINT", DAEMON_ABOUT, nargs="?", default="")
-OF_SESSION = _given("--config", "CONFIG", "in place of the session's own config.toml", Path)
 USUAL_SD = (0.02, 0.02, 0.2)
 
 COMMANDS: dict[Run, tuple[Argument, ...]] = {
@@ -269,7 +268,7 @@ COMMANDS: dict[Run, tuple[Argument, ...]] = {
     _record: (CONFIG, _given("--out", "DIR", "a new directory", Path, required=True)),
     _replay: (
         _given("directory", "DIR", "a session", Path),
-        OF_SESSION,
+        _given("--config", "CONFIG", "in place of the session's own config.toml", Path),
         _given("--seed", "N", "in place of filter.seed", int),
     ),
     _decode: (
@@ -281,7 +280,6 @@ COMMANDS: dict[Run, tuple[Argument, ...]] = {
         _given("--out", "FILE", "*.toml", Path),
         _flag("--check", "only judge the session's own full scale and mount by its touches"),
         _given("--object", "X Y YAW", "its pose, if known, in the world [m, m, rad]", float),
-        OF_SESSION,
     ),
     _layout: (_given("layout", "LAYOUT", "cylinder:… or wrap:…, or a .json or .csv file"),),
     _status: (DAEMON, _flag("--json", "the whole answer as JSON")),
@@ -291,14 +289,12 @@ COMMANDS: dict[Run, tuple[Argument, ...]] = {
         DAEMON,
         _given("--at", "X Y YAW", "in the world [m, m, rad]; YAW may be nan", float, required=True),
         _given("--sd", "X Y YAW", "standard deviations (0.02 0.02 0.2)", float, default=USUAL_SD),
-        _given("--object", "NAME", "where several may be felt"),
     ),
     _advise: (
         CONFIG,
         _flag("--json", "one line of JSON for each advice"),
         _flag("--follow", "again whenever more was felt, until stopped"),
         _given("--reach", "X X Y Y", "of the sensor [m] (the filter's square)", float, default=()),
-        _given("--yaw-deg", "LEAST MOST", "of the sensor (any)", float, default=()),
     ),
     _view: (
         _given("source", "CONFIG|ENDPOINT|SESSION", DAEMON_ABOUT, nargs="?", default=""),

@@ -31,18 +31,14 @@ def run(args: argparse.Namespace) -> int:
     placed = None if args.object is None else np.array(args.object)
     directory = args.source
     if args.check:
-        found = check.of_session(directory, session.config_of(directory, args.config))
+        found = check.of_session(directory, session.config_of(directory))
         _say("\n".join(found.lines()))
         return FAILED if found.is_wrong else 0
     if args.out is None:
         raise SetupError("--out: is required; name the file to write, or say --check")
     if directory.is_dir():
-        config = session.config_of(directory, args.config)
+        config = session.config_of(directory)
     else:
-        if args.config:
-            raise SetupError(
-                "--config: is only for a session; a running skin has its own configuration"
-            )
         config = load(args.source)
         directory = Guided.place(args.out)
         guided = Guided(config, args.source, directory, IDLE_S, PRESSES, _say)
