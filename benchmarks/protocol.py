@@ -1,12 +1,10 @@
-"""The protocol, for `make bench`: CPU time of three decoders, interleaved, and a saturated bus."""
+"""The protocol, for `make bench`: CPU time of the decoder, and a saturated bus."""
 
 import random
 import statistics
 import time
-from collections.abc import Callable
 
 import can
-import cantools
 
 from taxeld.config.tables import SourceConfig
 from taxeld.layout import read as layouts
@@ -21,15 +19,6 @@ SATURATED_FRAMES_S = 9_000  # most frames of 8 bytes on a bus of 1 Mbit/s
 ROUNDS = 7
 MODULES = wired([(i // 10 + 1) << 4 | (i % 10 + 1) for i in range(600)])
 CHANNELS = sum(module.channels for module in MODULES)
-
-DBC = """VERSION ""
-BU_: IHB
-BO_ 257 SCAN: 8 IHB
- SG_ A : 7|16@0+ (1,0) [0|65535] "" IHB
- SG_ B : 23|16@0+ (1,0) [0|65535] "" IHB
- SG_ C : 39|16@0+ (1,0) [0|65535] "" IHB
- SG_ D : 55|16@0+ (1,0) [0|65535] "" IHB
-"""
 
 
 def rows() -> list[tuple[str, float, float | None]]:
@@ -51,67 +40,13 @@ def scan_frames(scans: int, seed: int = 0) -> list[Frame]:
 
 def throughput() -> list[tuple[str, float, float | None]]:
     frames = scan_frames(60)
-    message = cantools.database.load_string(DBC, "dbc").messages[0]
-    full = [frame.data for frame in frames if len(frame.data) == 8]
-
-    def ours() -> None:
-        decoder = Decoder(lambda _: MODULES)
-        scans = sum(len(decoder.feed(frame)[1]) for frame in frames)
-        assert scans == 60
-
-    def plain() -> None:
-        assert len(plain_decoder(frames)) == 60
-
-    def dbc() -> None:
-        for data in full:
-            message.decode(data)
-
-    spent: dict[Callable[[], None], list[float]] = {ours: [], plain: [], dbc: []}
+    spent = []
     for _ in range(ROUNDS):
-        for work, times in spent.items():
-            start = time.process_time()
-            work()
-            times.append(time.process_time() - start)
-    rate = {
-        work: len(full if work is dbc else frames) / statistics.median(times)
-        for work, times in spent.items()
-    }
-    return [
-        ("fragments to scans, frames/s (at least)", rate[ours], 10.0 * SATURATED_FRAMES_S),
-        ("the same by a plain per-frame decoder, frames/s", rate[plain], None),
-        ("cantools decoding as many 8-byte frames, frames/s", rate[dbc], None),
-        ("ours over the plain decoder", rate[ours] / rate[plain], None),
-        ("ours over cantools", rate[ours] / rate[dbc], None),
-    ]
-
-
-def plain_decoder(frames: list[Frame]) -> list[list[int]]:
-    """The simplest way to write it: bytes joined, the CRC bit by bit, a step for each value."""
-    scans: list[list[int]] = []
-    scan: list[int] = []
-    data = b""
-    for frame in frames:
-        kind = frame.can_id & 0x700
-        data = frame.data if kind in (0x100, 0x500) else data + frame.data
-        if kind not in (0x400, 0x500) or len(data) < 3:
-            continue
-        crc = 0xFF
-        for byte in data[: data[1] + 2]:
-            crc ^= byte
-            for _ in range(8):
-                crc = (crc << 1 ^ 0x07) & 0xFF if crc & 0x80 else crc << 1
-        if crc != data[data[1] + 2] or data[0] != cyskin.Command.SENSOR_DATA:
-            continue
-        module, channel = data[2], data[3]
-        for at in range(4, data[1] + 2, 2):
-            if (module, channel) == (0, 0) and scan:
-                scans.append(scan)
-                scan = []
-            scan.append(data[at] << 8 | data[at + 1])
-            channel += 1
-            if channel == MODULES[module].channels:
-                module, channel = module + 1, 0
-    return [*scans, scan]
+        decoder, start = Decoder(lambda _: MODULES), time.process_time()
+        assert sum(len(decoder.feed(frame)[1]) for frame in frames) == 60
+        spent.append(time.process_time() - start)
+    rate = len(frames) / statistics.median(spent)
+    return [("fragments to scans, frames/s (at least)", rate, 10.0 * SATURATED_FRAMES_S)]
 
 
 def saturated() -> list[tuple[str, float, float | None]]:

@@ -21,13 +21,11 @@ from taxeld.pipeline.pipeline import Outcome
 from taxeld.proposals.samples import Degraded
 from taxeld.service import loop
 from taxeld.service.clock import Ready
-from taxeld.service.inputs import GATHER_S, GATHERS
-from taxeld.service.loop import Daemon
-from taxeld.service.notify import Notifier
+from taxeld.service.loop import GATHERS, Daemon
 from taxeld.service.publisher import LAST
 from taxeld.stream import messages, topics
 from taxeld_protocol.decoder import Scan
-from tests.rig.clocks import until
+from tests.rig.clocks import Clock, until
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.sockets import Sockets
 from tests.rig.stream_page import documented
@@ -210,36 +208,38 @@ def test_no_second_opinion_is_taken_while_a_scan_waits(touches: Touches) -> None
 
 
 @pytest.mark.parametrize(
-    ("sizes", "looks"),
-    [([9, 9], 2), ([2, 5, 9, 9], 4), (range(1, 100), GATHERS)],
-    ids=["at once", "one by one", "without end"],
+    ("more", "answered", "looks"),
+    [
+        ([False], 0, 1),
+        ([True] * 3 + [False], 0, 4),
+        (itertools.repeat(True), 0, GATHERS),
+        ([True, False, False], 2, 3),
+        (itertools.repeat(False), GATHERS, 2),
+    ],
+    ids=["at once", "one by one", "without end", "the door is later", "the door is silent"],
 )
-def test_the_frames_of_a_scan_gather_and_are_taken_by_one_pass(
-    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, sizes: Iterable[int], looks: int
+def test_a_pass_waits_for_all_frames_of_a_scan_and_for_the_doors_answer(
+    daemon: Daemon,
+    monkeypatch: pytest.MonkeyPatch,
+    more: Iterable[bool],
+    answered: int,
+    looks: int,
 ) -> None:
-    """`sizes`: of all that has come at each look."""
-    come, found, slept, polled = iter(sizes), list[int](), list[float](), list[int]()
+    """`more`: whether the rest is on its way, at each look; `answered`: looks before the answer."""
+    come, found, clock = iter(more), list[bool](), Clock()
 
-    def gather() -> int:
-        found.append(next(come))
-        return found[-1]
+    def wait(_: object, __: object, until_s: float) -> None:
+        clock.now = until_s
+        daemon.link.is_asking = len(found) < answered
 
-    def wait(*_: object) -> Ready:
-        if found:
-            daemon.stop()
-            return Ready()
-        polled.clear()
-        return Ready(device=True)
-
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    monkeypatch.setattr(time, "monotonic", lambda: clock.now)
     monkeypatch.setattr(loop, "wait", wait)
-    monkeypatch.setattr(time, "sleep", slept.append)
+    gather = lambda: found.append(next(come)) or found[-1]  # noqa: E731
     monkeypatch.setattr(daemon.inputs.sources[0], "gather", gather)
-    monkeypatch.setattr(
-        daemon.inputs.sources[0], "poll", lambda *_: polled.append(len(found)) or []
-    )
-    daemon._loop(Notifier({}), lambda: None)
-    assert polled == [looks]
-    assert slept[: looks - 1] == [GATHER_S] * (looks - 1)
+    daemon.link.is_asking = answered > 0
+    daemon._gather()
+    assert len(found) == looks
 
 
 def test_a_pass_whose_own_work_is_longer_than_a_period_is_counted(

@@ -29,7 +29,7 @@ from taxeld.source.bus_faults import PASSED_S, BusFault
 from taxeld.source.device import LostError
 from taxeld.source.recorder import Recorder
 from taxeld.source.socketcan import SocketCanDevice
-from taxeld.source.sources import LiveSource, least_period_ms, open_device, open_source
+from taxeld.source.sources import SIZES, LiveSource, least_period_ms, open_device, open_source
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import Answer, HubLink, VirtualIhb
@@ -507,12 +507,12 @@ def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_de
         for part in (frames[:5], [], frames[5:cut]):
             device.frames = part
             held.append(source.gather())
-        assert held == [5, 5, cut]
+        assert held == [True, False, True], "how large a scan is, is not known yet"
         scans = source.poll(0.1)
         device.frames = frames[cut:]
         source.gather()
         device.is_lost = True
-        assert source.gather() == len(frames) - cut
+        source.gather()
         scans += source.poll(0.2)
         assert (source.counters.lost, source.device) == (0, device)
         source.poll(0.3)
@@ -520,3 +520,17 @@ def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_de
         source.close()
     assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
     assert items_of(tmp_path / "session") == frames
+
+
+def test_of_a_scan_as_large_as_the_last_ones_no_more_is_waited_for() -> None:
+    device = GivenDevice()
+    source = LiveSource(SourceConfig(kind="can", **LISTENING), {0: SKIN}, lambda _: device)
+    for k in range(SIZES + 2):
+        frames = scan_frames(k, 1.0 + 0.05 * k)
+        device.frames = frames[:3]
+        assert source.gather()
+        assert not source.gather(), "nothing has come since"
+        device.frames = frames[3:]
+        assert source.gather() == (k == 0)
+        assert len(source.poll(0.05 * k)) == 1
+    source.close()

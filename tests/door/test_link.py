@@ -75,8 +75,7 @@ def test_what_a_door_says_is_done_and_it_is_told_first_who_speaks(ends: Ends) ->
     wanted = [b"/taxeld/%d" % number for number in range(20)]
     report = Report(keys_refused=3)
     report.robot.reason = "theta is no number"
-    ends.say(Kind.POSES, 0, [POSE, [5.0, 6.0, 7.0, 8.0]])
-    ends.say(Kind.POSES, 1, [POSE])
+    ends.say(Kind.POSES, [[POSE, [5.0, 6.0, 7.0, 8.0]], [POSE]], False)
     ends.say(Kind.CHANGE, 7, "tare", {})
     ends.say(Kind.WANTED, wanted)
     ends.say(Kind.REPORT, asdict(report))
@@ -148,7 +147,7 @@ def test_a_packet_that_is_none_is_logged_and_counted_and_its_door_is_let_go(
     ends.look()
     assert (ends.link.end is None) == (ends.link.failed > 0)
     ends.attach()
-    ends.say(Kind.POSES, 0, [POSE])
+    ends.say(Kind.POSES, [[POSE]], False)
     ends.look()
     assert ends.poses[-1] == (*POSE, 0)
     ends.close()
@@ -157,7 +156,7 @@ def test_a_packet_that_is_none_is_logged_and_counted_and_its_door_is_let_go(
 def test_of_a_door_that_says_much_a_look_takes_a_bounded_part(ends: Ends) -> None:
     said = PACKETS_PER_LOOK + 10
     for _ in range(said):
-        ends.say(Kind.POSES, 0, [POSE])
+        ends.say(Kind.POSES, [[POSE]], False)
     ends.look()
     assert len(ends.poses) == PACKETS_PER_LOOK
     ends.look()

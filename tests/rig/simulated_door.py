@@ -61,7 +61,7 @@ class SimulatedDoor:
             self._say(Kind.WANTED, list(TOPICS[:5]))
             self._say(Kind.READY)
         for pose in poses:
-            self._say(Kind.POSES, 0, [pose])
+            self._say(Kind.POSES, [[pose]], False)
         for name in ("reset", "tare"):
             if world.once(name):
                 self._say(Kind.CHANGE, 1, name, {})
@@ -69,7 +69,7 @@ class SimulatedDoor:
             self._next_report_s = world.now + 1.0
             self._say(Kind.REPORT, asdict(Report()))
         for _ in range(400 * world.on("door floods")):
-            self._say(Kind.POSES, 0, [])
+            self._say(Kind.POSES, [[]], False)
 
     def _listen(self) -> None:
         slow = self._world.on("door slow")
@@ -79,6 +79,8 @@ class SimulatedDoor:
         try:
             while (packet := pair.receive(self._end)) is not None:
                 self.got.append(packet)
+                if packet[0] == Kind.ASK:
+                    self._say(Kind.POSES, [[]], True)
                 if slow:
                     return
         except (EOFError, ConnectionError):

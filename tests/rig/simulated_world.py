@@ -171,7 +171,7 @@ class SimulatedDevice(MemoryDevice):
 
 def simulated_wait(world: World, devices: Sequence[Any], door: Any, until_s: float) -> Ready:
     """`clock.wait` on the fake clock, with one link."""
-    (device,) = devices
+    device = devices[0] if devices else None
 
     def ready() -> Ready:
         has_pose = door is not None and bool(select.select([door], [], [], 0)[0])

@@ -4,6 +4,7 @@ A pose is a map {t, x, y, theta} under `/robot/sensor_pose`. While none comes, w
 robot publishes is listened to for a moment, so that a wrong topic can be named.
 """
 
+import contextlib
 import itertools
 import math
 import re
@@ -17,7 +18,7 @@ import zmq
 from taxeld.stream import curve, pair
 from taxeld.stream.curve import Keys
 from taxeld.stream.link import PeerLine
-from taxeld.stream.sockets import connect, is_waiting, open_socket, unpack
+from taxeld.stream.sockets import NOBLOCK, connect, is_waiting, open_socket, unpack
 from taxeld.stream.topics import SENSOR_POSE
 from taxeld_protocol import array
 from taxeld_protocol.array import ArrayFrame
@@ -70,10 +71,9 @@ class Heard:
 
     def poll(self, now_s: float) -> None:
         """Take the messages that have arrived; `now_s` is monotonic."""
-        for _ in range(MESSAGES_PER_LOOK):
-            if not is_waiting(self.socket):
-                return
-            self._take(now_s, self.socket.recv_multipart(zmq.NOBLOCK))
+        with contextlib.suppress(zmq.Again):  # none is left
+            for _ in range(MESSAGES_PER_LOOK):
+                self._take(now_s, self.socket.recv_multipart(NOBLOCK))
 
     def look(self, now_s: float) -> None:
         """Find out what has become of the connection, a few times a second."""
@@ -156,7 +156,7 @@ class Robot(Heard):
         self,
         context: zmq.Context[Any],
         endpoint: str,
-        on_poses: Callable[[list[Pose], int], object],
+        on_poses: Callable[[list[list[Pose]], bool], object],
         keys: Keys | None,
         topics: Sequence[str] = (),
     ) -> None:
@@ -177,12 +177,12 @@ class Robot(Heard):
         self._doubted_s = -math.inf  # until then small angles are taken to be in degrees
         super().__init__(context, endpoint, keys if keys and keys.robot else None)
 
-    def poll(self, now_s: float) -> None:
+    def poll(self, now_s: float, *, is_asked: bool = False) -> None:
+        """Pass on what has come; where the loop `is_asked`, also that nothing has."""
         super().poll(now_s)
-        for link, poses in enumerate(self._came):
-            if poses:
-                self._on_poses(poses, link)
-            poses.clear()
+        if is_asked or any(self._came):
+            self._on_poses(self._came, is_asked)
+            self._came = [[] for _ in self._links]
 
     def look(self, now_s: float) -> None:
         was_connected = self.line.connected

@@ -58,6 +58,8 @@ class Door:
         self._controls: list[Control] = []
         self._heard: list[Robot | Array] = []
         self._robot: Robot | None = None
+        self._awaited: list[Streams | Control | Robot | Array] | None = None  # as the poller has
+        self._poller = zmq.Poller()
         self._unbound: list[tuple[zmq.Socket[Any], str, str]] = []  # are tried again
 
     def open(self) -> None:
@@ -126,14 +128,15 @@ class Door:
             self._unbound.append((socket, endpoint, key))
 
     def _pass(self) -> None:
-        poller = zmq.Poller()
-        poller.register(self._end.fileno(), zmq.POLLIN)
         # requests wait for the loop's first estimate
         controls = self._controls if ESTIMATE in self._latest else ()
         peers = [p for p in (*self._streams, *controls, *self._heard) if p.is_awaited]
-        for peer in peers:
-            poller.register(peer.socket, zmq.POLLIN)
-        ready = dict(poller.poll(WAIT_MS))
+        if peers != self._awaited:
+            self._awaited, self._poller = peers, zmq.Poller()
+            self._poller.register(self._end, zmq.POLLIN)
+            for peer in peers:
+                self._poller.register(peer.socket, zmq.POLLIN)
+        ready = dict(self._poller.poll(WAIT_MS))
         now_s = time.monotonic()
         if self._end.fileno() in ready:
             self._take_from_loop(now_s)
@@ -192,7 +195,7 @@ class Door:
                 for control in self._controls:
                     control.done(number, why)
             case Kind.ASK, [also_next] if self._robot is not None:
-                self._robot.poll(now_s)
+                self._robot.poll(now_s, is_asked=True)
                 self._robot.is_awaited = also_next
 
     def _forward(self, now_s: float, topic: bytes, body: bytes, t: float) -> None:
@@ -208,8 +211,8 @@ class Door:
         """To the loop, which has the log."""
         pair.send(self._end, Kind.LOG, level, pair.printable(line))
 
-    def _on_poses(self, poses: list[Pose], link: int) -> None:
-        pair.send(self._end, Kind.POSES, link, poses)
+    def _on_poses(self, poses: list[list[Pose]], is_answer: bool) -> None:
+        pair.send(self._end, Kind.POSES, poses, is_answer)
 
     def _on_array(self, frame: ArrayFrame) -> None:
         if self._robot is not None:  # a scan is placed by the poses before it

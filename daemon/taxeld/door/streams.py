@@ -4,12 +4,12 @@ A message that a subscriber does not fetch in time is lost for that subscriber a
 """
 
 import math
-from collections.abc import Collection, Iterable, Set
+from collections.abc import Sequence, Set
 from typing import Any
 
 import zmq
 
-from taxeld.stream.sockets import is_waiting, open_socket
+from taxeld.stream.sockets import MORE, NOBLOCK, is_waiting, open_socket
 from taxeld.stream.topics import INFO, TOPICS
 
 BEGIN, END = b"\x01", b"\x00"  # the byte before a prefix of topics
@@ -49,19 +49,22 @@ class Streams:
         for _ in range(EVENTS_PER_LOOK):
             if not is_waiting(self.socket):
                 break
-            self._take(self.socket.recv(zmq.NOBLOCK, copy=False))
+            self._take(self.socket.recv(NOBLOCK, copy=False))
         self._is_behind = is_waiting(self.socket)
 
-    def greet(self, now_s: float, info: Collection[bytes]) -> None:
+    def greet(self, now_s: float, info: Sequence[bytes]) -> None:
         """Send `/taxeld/info` where a newcomer has asked for it and `info` is not empty; `now_s` is
         monotonic."""
         if self._greets and info and now_s >= self._next_info_s:
             self._greets, self._next_info_s = False, now_s + INFO_S
             self.send(info)
 
-    def send(self, frames: Iterable[bytes]) -> None:
+    def send(self, frames: Sequence[bytes]) -> None:
         """A message: topic, map and time."""
-        self.socket.send_multipart(list(frames), flags=zmq.NOBLOCK)
+        *first, last = frames
+        for frame in first:
+            self.socket.send(frame, MORE)
+        self.socket.send(last, NOBLOCK)
 
     def _take(self, frame: zmq.Frame) -> None:
         """The end of a prefix is believed only of ZeroMQ itself, which tells it when the last who

@@ -11,6 +11,7 @@ contact must not sharpen the belief:
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +67,9 @@ class Intake:
         if least == most == 0.0:  # the usual case: nothing is stuck, and nothing leaks
             self._stuck.released()
         else:
-            moved = 0.0 if before is None else moved_m(before, sensor, self._radius_m)
+            moved = (
+                0.0 if before is None else moved_m(before.tolist(), sensor.tolist(), self._radius_m)
+            )
             z = np.clip(z, 0.0, 1.0)
             stuck = self._stuck.on_scan(z, moved) & live
             self._counters.stuck += bool(stuck.any())
@@ -146,13 +149,14 @@ class News:
         used = self._used
         if used is None:
             return True
-        moved = moved_m(used.sensor, observation.sensor, self._radius_m) / MOTION_M
+        way = used.sensor.tolist(), observation.sensor.tolist()
+        moved = moved_m(*way, self._radius_m) / MOTION_M
         risen = float((observation.z - used.z).max()) / ACTIVATION
         return moved + risen >= 1.0
 
 
-def moved_m(a: Poses, b: Poses, radius_m: float) -> float:
+def moved_m(a: Sequence[float], b: Sequence[float], radius_m: float) -> float:
     """Upper bound on how far a point of the skin went between two sensor poses (3,) [m]."""
-    (ax, ay, turned_a), (bx, by, turned_b) = a.tolist(), b.tolist()
+    (ax, ay, turned_a), (bx, by, turned_b) = a, b
     turn = (turned_b - turned_a + math.pi) % (2.0 * math.pi) - math.pi
     return float(math.hypot(bx - ax, by - ay) + radius_m * abs(turn))

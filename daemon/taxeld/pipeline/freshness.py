@@ -32,6 +32,7 @@ class Why(IntEnum):
     NO_OBJECT = 11
 
 
+OF_STATUS = {Status.BLIND: Why.BLIND, Status.INCONSISTENT: Why.INCONSISTENT}
 CURES = {  # the reason and its cure, in the width of a terminal (docs/stream.md)
     Why.VALID: "",
     Why.NO_SCAN: "no scan comes from the skin: see Device and Bus",
@@ -102,19 +103,20 @@ class Freshness:
 
     def why(self, estimate: Estimate, now_s: float | None = None) -> Why:
         """Why a subscriber may not use the last estimate, VALID where it may; `now_s` as above."""
-        places = np.array([estimate.map, estimate.mean])[:, :2]
-        off_m = np.abs(places - self._centre_m).max()
         inputs = self._of_inputs(now_s)
-        holds = {
-            inputs: inputs is not Why.VALID,
-            Why.NO_OBJECT: not estimate.objects,
-            Why.BLIND: estimate.status is Status.BLIND,
-            Why.INCONSISTENT: estimate.status is Status.INCONSISTENT,
-            Why.UNTOUCHED: estimate.contacts == 0,
-            Why.VAGUE: not estimate.p >= LEAST_P,
-            Why.OUTSIDE: not off_m <= self._half_width_m + self._reach_m,
-        }
-        return next((why for why, is_so in holds.items() if is_so), Why.VALID)
+        if inputs is not Why.VALID:
+            return inputs
+        if not estimate.objects:
+            return Why.NO_OBJECT
+        if estimate.status in OF_STATUS:
+            return OF_STATUS[estimate.status]
+        if not estimate.contacts:
+            return Why.UNTOUCHED
+        if not estimate.p >= LEAST_P:
+            return Why.VAGUE
+        places = np.array([estimate.map, estimate.mean])[:, :2]
+        is_inside = np.abs(places - self._centre_m).max() <= self._half_width_m + self._reach_m
+        return Why.VALID if is_inside else Why.OUTSIDE
 
     def sentence(self, why: Why, estimate: Estimate, fact: str = "") -> str:
         """The reason, its cure, and a fact where there is one."""

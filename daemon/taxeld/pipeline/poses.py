@@ -2,10 +2,8 @@
 last one; and how well it is known, by the age of the nearest pose and the scan's own time."""
 
 import math
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +30,6 @@ class TakenPose(NamedTuple):
 
     t: float
     pose: tuple[float, float, float]
-    speed: float  # of the skin since the pose before [m/s]
 
 
 class PoseTrack:
@@ -69,16 +66,16 @@ class PoseTrack:
     def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:
         """Take a pose that has arrived at `now`; times must increase, unless a clock was set
         back."""
-        # one from the future would keep out all poses before its time
-        is_fit = all(map(math.isfinite, (t, x, y, theta))) and t <= now + FUTURE_S
-        is_far = is_fit and max(abs(x), abs(y)) > FAR_M
+        # one from the future would keep out all poses before its time; a sum is finite if each is
+        is_fit = math.isfinite(t + x + y + theta) and t <= now + FUTURE_S
+        is_far = is_fit and not (-FAR_M <= x <= FAR_M and -FAR_M <= y <= FAR_M)
         self.far += is_far
         if not is_fit or is_far or not (t > self.latest_t or self._is_set_back(t)):
             self.rejected += 1
             return
         self._back = 0
         self.taken += 1
-        self._kept.append(TakenPose(t, (x, y, theta), self._speed_to(t, (x, y, theta))))
+        self._kept.append(TakenPose(t, (x, y, theta)))
         if self._on_pose is not None:
             self._on_pose(t, float(x), float(y), float(theta))
 
@@ -86,12 +83,15 @@ class PoseTrack:
         """Forget all poses: their times are of another clock."""
         self._kept.clear()
 
-    def _speed_to(self, t: float, pose: tuple[float, float, float]) -> float:
-        """Speed of the skin [m/s] since the last pose; 0 where there is none, or one is wrong."""
-        if not self._kept or math.dist(self._kept[-1].pose[:2], pose[:2]) > se2.JUMP_M:
+    def _speed_to(self, i: int) -> float:
+        """Speed of the skin [m/s] from the pose before number i; 0 without one, or with a wrong
+        one."""
+        if not i:
             return 0.0
-        way_m = moved_m(np.array(self._kept[-1].pose), np.array(pose), self._lever_m)
-        return way_m / max(t - self.latest_t, BRIEF_S)
+        (before_t, before), (t, pose) = self._kept[i - 1], self._kept[i]
+        if math.dist(before[:2], pose[:2]) > se2.JUMP_M:
+            return 0.0
+        return moved_m(before, pose, self._lever_m) / max(t - before_t, BRIEF_S)
 
     def _is_set_back(self, t: float) -> bool:
         """Whether enough poses from the past came in a row that they are the present."""
@@ -126,12 +126,15 @@ class PoseTrack:
         newest = i if self._is_between(i) else i - 1
         age_s = min(abs(t - self._kept[k].t) for k in (i - 1, newest))
         first = max(min(self._after(t - late_s), newest) - 1, 0)
-        speed = max(each.speed for each in islice(self._kept, first, newest + 1))
+        speed = max(map(self._speed_to, range(first, newest + 1)))
         return speed * math.hypot(age_s, late_s / math.sqrt(3.0))
 
     def _after(self, t: float) -> int:
-        """The number of the first pose after time t."""
-        return bisect_right(self._kept, t, key=lambda each: each.t)
+        """The number of the first pose after time t, which is one of the last."""
+        i = len(self._kept)
+        while i and self._kept[i - 1].t > t:
+            i -= 1
+        return i
 
     def _is_between(self, i: int) -> bool:
         """Whether pose number i and the one before tell of the time between them."""
@@ -146,7 +149,7 @@ class PoseTrack:
 
     def _between(self, i: int, t: float) -> Poses:
         """The pose (3,) on the line through two poses, or beyond the second."""
-        (t0, before, _), (t1, after, _) = self._kept[i], self._kept[i + 1]
+        (t0, before), (t1, after) = self._kept[i], self._kept[i + 1]
         share = (t - t0) / (t1 - t0)
         x, y, turn = (b - a for a, b in zip(before, after, strict=True))
         if math.hypot(x, y) > se2.JUMP_M:  # one of the two is wrong, and so is everything between

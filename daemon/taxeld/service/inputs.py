@@ -3,7 +3,6 @@ latter (docs/troubleshooting.md has more mistakes, by the counts of `taxeld stat
 
 import contextlib
 import math
-import time
 from collections import deque
 from collections.abc import Mapping
 
@@ -15,8 +14,6 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source, open_sources
 from taxeld.stream.link import Link, PeerLine
 
-GATHER_S = 0.0002  # silence after a whole scan: its frames follow each other more closely
-GATHERS = 20  # looks at the device for further frames, GATHER_S apart
 LOOKS = 5  # looks at the poses, a second each, over which their rate and clock are judged
 SEEN = 3  # looks in a row that must show a fault: a busy machine is late now and then
 OFFSET_S = 0.05  # between the robot's clock and this one
@@ -133,15 +130,10 @@ class Inputs:
             if each.waits_for
         )
 
-    def gather(self) -> None:
-        """Wait until the frames that come are a whole scan: a pass for each of them would cost more
-        than all work on the scan."""
-        held = 0
-        for _ in range(GATHERS):
-            before, held = held, sum(source.gather() for source in self.sources)
-            if held == before:
-                return
-            time.sleep(GATHER_S)
+    def gather(self) -> bool:
+        """Read the devices; → whether the rest of a scan is on its way."""
+        has_more = [source.gather() for source in self.sources]
+        return any(has_more)
 
     def look(self, link: Link, t: float) -> None:
         """Once a second, at the Unix time t: take what the door says of robot and array."""

@@ -13,7 +13,7 @@ import os
 import threading
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from taxeld import files
 from taxeld.config.tables import Config
-from taxeld.estimator.scans import VERSION, scan_arrays, scans_of
+from taxeld.estimator.scans import VERSION, ScanEvidence, scan_arrays, scans_of
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.stage import later
 from taxeld.skin.calibration import SkinState
@@ -35,7 +35,7 @@ EVERY_S, AT_LEAST_S = 60.0, 240.0  # between two writings out of contact; where 
 BASELINE_S = 43_200.0  # an idle baseline that was stored longer ago is not used
 KEEP_S = 600.0  # what was felt is used by a start that comes so soon
 FUTURE_S = 3600.0  # a time farther ahead was stored by a wrong clock, or is read by one
-MEMORY_S = 1.0  # time between two handings-over of what was felt, at least
+MEMORY_S, SILENT_S = 1.0, 5.0  # between two handings-over of what was felt; of silence alone
 CLOSE_S = 4.0  # time that the last two jobs of the thread may take
 
 Arrays = dict[str, NDArray[Any]]
@@ -106,8 +106,9 @@ class Store:
         self._written_s, self._changes, self._captures = -math.inf, 0, 0
         self._is_forgotten = False
         self._packed: BinaryIO | None = None  # scans for clients, until the door has them
-        self._handed: tuple[object, ...] = ()  # which scans were packed last, for which door
-        self._next_memory_s = 0.0
+        self._handed: tuple[object, ...] = ()  # what was packed last, and for which door
+        self._touches: Sequence[ScanEvidence] = ()  # the contacts in it
+        self._handed_s = -math.inf
         self._writer = Writer(str(self._path or NAME))
         for k, stage in enumerate(pipeline.stages):
             self._restore(_part(f"skin{k}.", self._found), stage.skin)
@@ -170,13 +171,17 @@ class Store:
             with self._packed as packed:
                 link.remember(packed.fileno())
             self._packed = None
-        if self._estimator is None or not link.is_ready or now_s < self._next_memory_s:
+        if self._estimator is None or not link.is_ready or now_s < self._handed_s + MEMORY_S:
             return
         scans, changes = self._estimator.scans.all, self._estimator.scans.added
         key = link.end, changes, self._estimator.counters.updates
         if key == self._handed or self._pipeline.is_touched or self._writer.is_busy:
             return
-        self._handed, self._next_memory_s = key, now_s + MEMORY_S
+        touches = [scan for scan in scans if scan.is_contact]
+        is_same = self._handed[:1] == key[:1] and touches == self._touches
+        if is_same and now_s < self._handed_s + SILENT_S:
+            return
+        self._handed, self._touches, self._handed_s = key, touches, now_s
         about = {"digest": np.array(self._estimator.digest), "changes": np.array(key[1:])}
 
         def pack() -> None:

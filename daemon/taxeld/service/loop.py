@@ -32,6 +32,9 @@ from taxeld.stream.link import Link
 
 TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
 START_S = 2.0  # time that a skin may take to start, before the lack of scans is a fault
+ANSWER_S = 0.005  # time that the door has for the poses of a scan
+GATHER_S = 0.0002  # time between two looks at the device: a scan's frames come more closely
+GATHERS = 20  # looks at the device for further frames
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
 log = logging.getLogger(__name__)
@@ -139,9 +142,24 @@ class Daemon:
         door, devices = self.link.end if hears else None, [source.device for source in sources]
         ready = wait(devices, door, until_s)
         if ready.device:
-            self.link.ask_poses(also_next=False)
-            self.inputs.gather()
+            if self.config.sensor_pose.endpoint:
+                self.link.ask_poses(also_next=False)
+            self._gather()
         return ready
+
+    def _gather(self) -> None:
+        """Wait until the frames that come are a whole scan, or no more come, and until the door has
+        answered: a pass for each of them would cost more than all work on the scan."""
+        until_s = time.monotonic() + ANSWER_S
+        for _ in range(GATHERS):
+            has_more, now_s = self.inputs.gather(), time.monotonic()
+            if self.link.is_asking and now_s < until_s:
+                wait([], self.link.end, now_s + GATHER_S if has_more else until_s)
+                self.door.look(time.monotonic())
+            elif has_more:
+                time.sleep(GATHER_S)
+            else:
+                return
 
     def tick(self, now_s: float, ready: Ready = ALL) -> None:
         """One pass: inputs, pipeline, outputs. `now_s` is monotonic; `ready` names the inputs that
@@ -156,7 +174,9 @@ class Daemon:
         if any(ready) or pipeline.has_waiting or now_s >= self._next_look_s:
             self._next_look_s = now_s + LOOK_S
             self.door.look(now_s)
-        scans = polled(self.inputs.sources, now_s)
+        # a pass for poses alone leaves the sources to the next one
+        polls = ready.device or not ready.door or self.inputs.come_by_door
+        scans = polled(self.inputs.sources, now_s) if polls else []
         source_us = (time.perf_counter_ns() - start_ns) / 1000.0
         cpu_ns = time.thread_time_ns()
         # scans are stamped while polled, so the time must be read after that

@@ -97,10 +97,11 @@ class Publisher:
         self._send_estimate(_stages_us(outcome), now_s)
 
     def send_due(self, now_s: float) -> bool:
-        """Publish without a scan: an estimate whose status has changed or whose time has come; →
-        whether health is due as well."""
+        """Publish without a scan: an estimate whose status has changed or whose time has come,
+        unless a scan that waits brings the next; → whether health is due as well."""
         estimate = self._pipeline.estimate_at(now_s)
-        if self._is_news(estimate) or now_s >= self._next_estimate_s:
+        wait_s = self._config.sensor_pose.wait_s if self._pipeline.has_waiting else 0.0
+        if self._is_news(estimate) or now_s >= self._next_estimate_s + wait_s:
             self._send_estimate(dict.fromkeys(messages.STAGES, 0.0), now_s)
         return now_s >= self._next_health_s
 

@@ -94,6 +94,8 @@ class BusHealth:
 
     def line(self, now_s: float) -> str:
         """The gravest fault that has not passed, and its cure; empty without one."""
+        if not self._until_s:  # as of most buses
+            return ""
         lasting = [fault for fault in BusFault if self._until_s.get(fault, -math.inf) > now_s]
         return f"source.channel: {lasting[0].line}" if lasting else ""
 

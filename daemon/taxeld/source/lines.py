@@ -178,17 +178,17 @@ class SlcanDevice(SerialLine):
         data, now = self._receive(), time.time()
         lines = self._reader.lines(data)
         for line in lines:
-            if line in slcan.ACCEPTED:
-                self._answer = True
-            elif line[-1:] == slcan.BEL:
+            if line[-1:] == slcan.BEL:
                 self._answer = False
                 self._refused()
+            elif len(line) >= SHORTEST and line.startswith(FRAMES):
+                self._frame_came = True
+            elif line in slcan.ACCEPTED:
+                self._answer = True
             elif status := slcan.STATUS.fullmatch(line):
                 self._answer = True
                 flags = int(status[1], 16)
                 self.noticed.bus.update(fault for bits, fault in FLAGGED.items() if flags & bits)
-            elif len(line) >= SHORTEST and line.startswith(FRAMES):
-                self._frame_came = True
         foreign = self._reader.foreign
         frames = self._reader.frames(lines, now)
         self.noticed.foreign += self._reader.foreign - foreign

@@ -39,6 +39,7 @@ CLOSE_S = 0.2  # time for the last requests to leave the device
 PATIENCE_S = 0.5  # requests that wait longer are dropped: the bring-up asks again
 STOPPED_S = 0.25  # time without a poll after which the loop had been stopped,
 STOPPED_PERIODS = 2  # or these scan periods, if they are longer
+SIZES = 8  # scans that tell how large the next may be
 FRAME_BITS = 116  # a frame with 8 bytes and a short id, with the stuff bits of usual readings
 INTERFACE_MAX = 15  # characters of an interface's name (IFNAMSIZ)
 HELD_MAX = 256  # arrays between two polls; beyond, the oldest are lost
@@ -86,10 +87,10 @@ class Source:
             for item in items:
                 self._recorder.take(item, self.links.numbers[0])
 
-    def gather(self) -> int:
-        """Read the device and keep the items for the next `poll`; → the number of frames, or of
-        bytes of a line, now kept."""
-        return 0
+    def gather(self) -> bool:
+        """Read the device and keep the items for the next `poll`; → whether the rest of a scan is
+        on its way."""
+        return False
 
     def poll(self, now_s: float) -> list[Scan]:
         """Scans that have arrived; `now_s` is monotonic."""
@@ -237,6 +238,8 @@ class LiveSource(Source):
         # requests that the device has not taken yet, and when each is given up
         self._requests = deque[tuple[float, Request]]()
         self._held: list[Frame | Chunk] = []  # items read from the device and not decoded yet
+        self._size = 0  # frames, or bytes of a line, since the last scan
+        self._sizes = deque[float](maxlen=SIZES)  # of the last scans
         self._failed: LostError | None = None  # loss of the device, after the held items
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._amiss: dict[str, str] = {}  # a line on each subject that was amiss
@@ -260,13 +263,8 @@ class LiveSource(Source):
     def firmware(self) -> Mapping[str, str]:  # type: ignore[override]
         return self._bring_up.firmware if self._bring_up else {}
 
-    def gather(self) -> int:
-        if self.device is not None and self._failed is None:
-            try:
-                self._held += self.device.read()
-            except LostError as error:
-                self._failed = error
-        return sum(len(item.data) if isinstance(item, Chunk) else 1 for item in self._held)
+    def gather(self) -> bool:
+        return self._read() and self._size < max(self._sizes, default=math.inf)
 
     def poll(self, now_s: float) -> list[Scan]:
         if self.device is None:
@@ -295,8 +293,23 @@ class LiveSource(Source):
         self.device.close(CLOSE_S)
         self.device = None
 
+    def _read(self) -> bool:
+        """Keep what has arrived; → whether anything has."""
+        items: Sequence[Frame | Chunk] = ()
+        if self.device is not None and self._failed is None:
+            try:
+                items = self.device.read()
+            except LostError as error:
+                self._failed = error
+        self._held += items
+        if items:
+            is_line = isinstance(items[0], Chunk)
+            self._size += sum(len(item.data) for item in items) if is_line else len(items)
+        return bool(items)
+
     def _take(self, device: Device) -> None:
         self.device, self._failed = device, None
+        self._size = 0
         self._requests.clear()
         self._pause_s = REOPEN_S[0]
         self._polled_s = time.monotonic()
@@ -338,11 +351,10 @@ class LiveSource(Source):
         `is_late`: the loop was stopped. Nothing tells when came what then waited on the line, which
         dates its data when they are read; so all of it is read now, and not recorded.
         """
-        before, held = -1, 0
-        while is_late and held > before:
-            before, held = held, self.gather()
+        while is_late and self._read():
+            pass
         if not self._held:
-            self.gather()
+            self._read()
         items, self._held = self._held, []
         if self._failed is not None and not items:
             raise self._failed
@@ -356,7 +368,11 @@ class LiveSource(Source):
         if self._bring_up is not None:
             for packet, _ in decoded:
                 self._bring_up.on_packet(packet)
-        return [scan for _, ended in decoded for scan in ended]
+        scans = [scan for _, ended in decoded for scan in ended]
+        if scans:
+            self._sizes.append(self._size / len(scans))
+            self._size = 0
+        return scans
 
     def _ask(self, bring_up: BringUp, scans: Sequence[Scan], now_s: float) -> str:
         """Have the bring-up's requests sent; → what it lacks. Its clock stops while requests wait

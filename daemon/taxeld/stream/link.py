@@ -63,6 +63,7 @@ class Link:
         self.failed = 0  # packets and changes that raised an exception, since the loop's start
         self.report = Report()
         self.is_ready = False
+        self.is_asking = False  # whether the door has not answered the last question for poses
         self.fault = ""  # why the door has ended, if it said so
         self.on_array: OnArray = lambda _: None
         # the loop's end of the pair, readable when the door has spoken; each door has its own
@@ -91,6 +92,7 @@ class Link:
         if self.end is not None:
             self.end.close()
         self.end, self.is_ready, self._wanted = None, False, frozenset()
+        self.is_asking = False
         self.report.robot.connected = self.report.array.connected = False
 
     def wants(self, topic: bytes) -> bool:
@@ -118,6 +120,7 @@ class Link:
         """Have the door pass on the robot's poses that have come, and, if `also_next`, the next
         one when it comes. Without being asked it passes them on every tenth of a second."""
         if self.is_ready:
+            self.is_asking = True
             self._give(Kind.ASK, also_next)
 
     def look(self, now_s: float) -> None:
@@ -150,9 +153,11 @@ class Link:
 
     def _take(self, kind: int, values: list[Any]) -> None:
         match kind, values:
-            case Kind.POSES, [link, poses]:
-                for t, x, y, theta in poses:
-                    self._on_pose(t, x, y, theta, link)
+            case Kind.POSES, [each, is_answer]:
+                self.is_asking &= not is_answer
+                for link, poses in enumerate(each):
+                    for t, x, y, theta in poses:
+                        self._on_pose(t, x, y, theta, link)
             case Kind.ARRAY, [t, name, rest, counts]:
                 self.on_array(ArrayFrame(t, name, rest, tuple(counts)))
             case Kind.WANTED, [topics]:

@@ -13,7 +13,7 @@ To the loop:
     READY    the door serves
     FAULT    a line: an endpoint or a key cannot be used, and the door ends
     WANTED   the topics that somebody has subscribed to
-    POSES    number of the link, and its sensor's poses [t, x, y, theta]
+    POSES    each link's sensor's poses [t, x, y, theta]; whether they answer ASK
     CHANGE   number of the request, its command, and a map of its arguments
     ARRAY    t, id, counts at rest, counts
     REPORT   map: what the door counts, once a second
@@ -24,12 +24,15 @@ A packet that is too large goes as a file in memory, by its descriptor; so do th
 
 import os
 import socket
+import sys
 from enum import IntEnum
 from typing import Any
 
 import msgpack
 
 PACKET_MAX = 65_536  # bytes
+BESIDE = socket.CMSG_LEN(4)  # one descriptor
+PACK = msgpack.Packer().pack
 TEXT_MAX = 500  # characters of a line
 
 
@@ -65,7 +68,7 @@ def send(end: socket.socket, kind: Kind, *values: object, file: int | None = Non
     Raises:
         OSError: the other end is gone, or no descriptor is left.
     """
-    packet: bytes = msgpack.packb([int(kind), *values])
+    packet: bytes = PACK([int(kind), *values])
     try:
         if file is not None:
             socket.send_fds(end, [packet], [file])
@@ -97,14 +100,14 @@ def receive(end: socket.socket) -> tuple[int, list[Any]] | None:
         ValueError: it is no packet.
     """
     try:
-        data, files, _, _ = socket.recv_fds(end, PACKET_MAX, 1)
+        data, beside, _, _ = end.recvmsg(PACKET_MAX, BESIDE)
     except BlockingIOError:
         return None
     if not data:
         raise EOFError
     packet = msgpack.unpackb(data)
-    if files:
-        with os.fdopen(files[0], "rb") as reader:
+    if beside:
+        with os.fdopen(int.from_bytes(beside[0][2], sys.byteorder), "rb") as reader:
             reader.seek(0)
             content = reader.read()
         packet = msgpack.unpackb(content) if packet is None else [*packet, content]

@@ -12,6 +12,7 @@ KEEPALIVE_S = 10  # the kernel asks a silent peer beyond this machine, and lets 
 KEEPALIVE_TRIES = 3
 # as plain numbers: pyzmq takes long over its enumerations
 EVENTS, WAITING = int(zmq.EVENTS), int(zmq.POLLIN)
+NOBLOCK, MORE = int(zmq.NOBLOCK), int(zmq.NOBLOCK | zmq.SNDMORE)
 
 
 def open_socket(
