@@ -1,8 +1,10 @@
-"""`taxeld calibrate`: a session to a file that a daemon uses; and a skin that is pressed now."""
+"""`taxeld calibrate`: of a session, of a skin that is pressed now, and the check of a session."""
 
 import contextlib
 import io
 import json
+import re
+import shutil
 import threading
 import time
 from dataclasses import replace
@@ -15,13 +17,15 @@ import zmq
 
 from taxeld.cli import main
 from taxeld.config.file import load
-from taxeld.config.tables import SkinConfig
+from taxeld.config.tables import SceneConfig, SkinConfig
+from taxeld.errors import SetupError
 from taxeld.model import se2
 from taxeld.service import calibration_file
 from taxeld.skin.calibration import Calibration
 from taxeld.stream import topics
-from taxeld_hil.calibration import calibrate
+from taxeld_hil.calibration import calibrate, check
 from taxeld_hil.calibration.guided import Guided
+from taxeld_hil.cli import main as hil
 from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
@@ -104,19 +108,16 @@ def test_a_session_without_a_robot_or_without_rest_is_refused(
     recorded: tuple[PressedSkin, Path], tmp_path: Path
 ) -> None:
     skin, session = recorded
-    bare = tmp_path / "bare"
-    bare.mkdir()
+    out = ["--out", tmp_path / "c.toml"]
+    (tmp_path / "bare").mkdir()
     for name in ("frames.log", "config.toml"):
-        (bare / name).write_bytes((session / name).read_bytes())
-    assert "sensor_pose.csv: is missing; a calibration needs" in refused(
-        "calibrate", bare, "--out", tmp_path / "c.toml"
-    )
-    hasty = tmp_path / "hasty"
-    write_session(hasty, replace(skin, sensor=skin.sensor[:2]), idle_s=4.0)
-    assert "and to measure its noise takes 10 s; touch nothing in the first minute" in refused(
-        "calibrate", hasty, "--out", tmp_path / "c.toml"
-    )
-    assert not (tmp_path / "c.toml").exists()
+        shutil.copy(session / name, tmp_path / "bare")
+    write_session(tmp_path / "hasty", replace(skin, sensor=skin.sensor[:2]), idle_s=4.0)
+    says = refused("calibrate", tmp_path / "bare", *out)
+    assert "sensor_pose.csv: is missing; a calibration needs" in says
+    says = refused("calibrate", tmp_path / "hasty", *out)
+    assert re.search("untouched at first: [34] s; it takes 10 s; touch nothing in the first", says)
+    assert not out[1].exists()
 
 
 def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
@@ -139,8 +140,7 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
             sensor_pose={"endpoint": f"ipc://{tmp_path}/poses"},
         )
         out = tmp_path / "skin.toml"
-        place = Guided.place(out)
-        asking = Guided(load(config), config, place, 1.5, 16, said.append)
+        asking = Guided(load(config), config, out, 1.5, 16, said.append)
         ended: list[bool] = []
         worker = threading.Thread(target=lambda: ended.append(asking.run()))
         worker.start()
@@ -168,14 +168,41 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
 
             hub.serve(now_s, counts)
             time.sleep(0.001)
-        asking.stop()
+        asking.recording.stopping = True
         worker.join(DEADLINE_S)
         robot.close(0)
     assert ended == [True], "\n".join(said)
     assert said[0].startswith("1. touch nothing for 2 s")
-    assert "   16 of 16" in said
-    assert any("next with the skin's side at" in line for line in said)
-    assert place != Guided.place(out)  # another attempt has a session of its own
-    result = calibrate.of_session(place, load(config), PLACED)
+    assert any(line.startswith("   16 of 16; next with the skin's side at ") for line in said)
+    # another attempt has a session of its own
+    place = Guided(load(config), config, out, 1.5, 16, said.append).directory
+    assert place != asking.directory
+    result = calibrate.of_session(asking.directory, load(config), PLACED)
     assert abs(result.calibration.t - time.time()) < 3600.0
     assert_right(result.calibration, skin)
+
+
+RECORDED = Path(__file__).parents[1] / "daemon" / "session"
+
+
+def test_the_check_doubts_most_wrong_full_scales_and_no_right_one(tmp_path: Path) -> None:
+    wrong = 0
+    for seed in range(4):
+        session = tmp_path / str(seed)
+        line = ["run", "demo", "--clock", "fake", "--foam", "typical", "--seed", str(seed)]
+        assert hil([*line, "--out", str(session)]) == 0
+        assert main(["calibrate", str(session), "--check"]) == 0
+        config = session / "config.toml"
+        text = config.read_text(encoding="utf-8")
+        config.write_text(text.replace("counts = 20000.0", "counts = 50000.0"), encoding="utf-8")
+        # 2: it may leave no pose to judge by
+        wrong += main(["calibrate", str(session), "--check"]) == 1
+    assert wrong > 2
+
+
+def test_the_check_refuses_few_touches_and_a_skin_without_an_object() -> None:
+    config = load(RECORDED / "config.toml")
+    with pytest.raises(SetupError, match=r"touches: \d; it takes 5; touch the object"):
+        check.of_session(RECORDED, config)
+    with pytest.raises(SetupError, match=r"scene\.bundle: is empty"):
+        check.of_session(RECORDED, replace(config, scene=SceneConfig()))

@@ -1,11 +1,5 @@
-"""A session becomes a calibration: at least ten seconds untouched, then presses held still.
+"""A session becomes a calibration: at least ten seconds untouched, then presses held still."""
 
-The fit begins at several mounts, and the likeliest of them is the result. Presses that do not
-suffice are refused, in one line with the cure.
-"""
-
-from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,26 +9,20 @@ from taxeld.arrays import Bools, Floats, Index, Poses
 from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
-from taxeld.model import se2
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import Inverse
 from taxeld.skin.calibration import Calibration, skin_digest
 from taxeld.source import session
-from taxeld_hil.calibration.fit import CalibrationFit, FitResult, Start
-from taxeld_hil.calibration.observer import Observed, Observer, uncalibrated
+from taxeld_hil.calibration.fit import SEARCHED, CalibrationFit, FitResult, Start, likeliest, seen
+from taxeld_hil.calibration.observer import Observer, uncalibrated
 from taxeld_hil.calibration.presses import Presses
+from taxeld_hil.rules import Rule, require
 
 LEAST_IDLE_S = 10.0
 KNOWN_GAIN_SD = 0.06  # relative: a gain with a larger sd counts as not measured
-ROUNDING_SD = 1.0 / np.sqrt(12.0)  # counts: of whole counts, whatever else the noise is
 LEAST_PRESSES = 12
 LEAST_SIDES = 4  # sides of the skin that must be pressed, of eight
-SEARCHED = np.array([0.006, 0.006, np.radians(8.0)])  # largest mounts that are tried: m, m, rad
-STEPS = 7  # mounts that are tried along each axis
-APART = np.array([0.003, 0.003, np.radians(3.0)])  # mounts that differ by less are one start
-STARTS = 3  # fits, of which the likeliest is the result
-OBJECT_SD = np.array([0.03, 0.03, 0.3])  # m, m, rad: of an object's pose that is not given
 MOST_LEFT = 1.0  # `FitResult.left` of a right model is 0.3 to 0.7, of a wrong one 1.5 and more
 KNOWN_MOUNT = np.array([0.0015, 0.0015, np.radians(1.0)])  # largest sd of a mount: m, m, rad
 FOLDS = 5  # parts of the presses; each is judged by a fit to all others
@@ -46,9 +34,10 @@ class Result(NamedTuple):
     """A calibration, and its grounds."""
 
     calibration: Calibration
+    model: ObservationModel
+    presses: Presses
     fit: FitResult
-    observed: Observed
-    given: bool  # whether the object's pose was given
+    rules: list[Rule]
 
     @property
     def known(self) -> Bools:
@@ -74,37 +63,28 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
     observer = Observer(open_pipeline(directory, uncalibrated(config)))
     for outcome in outcomes(directory, observer.pipeline):
         observer.on_outcome(outcome)
-    return fitted(observer.observed(), config, placed)
-
-
-def fitted(observed: Observed, config: Config, placed: Poses | None) -> Result:
-    """`placed` (3,): the object's pose in the world; None: as it was found by touch.
-
-    Raises:
-        SetupError: the presses do not suffice, or the object's pose is not known.
-    """
-    idle, presses = observed.idle, observed.presses
-    if idle.seconds < LEAST_IDLE_S:
-        raise SetupError(
-            f"calibrate: the skin was left alone for {idle.seconds:.0f} s at the start, and "
-            f"to measure its noise takes {LEAST_IDLE_S:.0f} s; touch nothing in the first minute"
-        )
-    if not len(presses):
-        held = f"; {observed.unheld} were not held still" if observed.unheld else ""
-        raise SetupError(f"calibrate: no press was found{held}; press for a second each")
-    where = observed.found if placed is None else placed
+    presses, unheld = observer.presses.found()
+    idle_s, where = observer.idle_s, observer.object if placed is None else placed
+    cure = "touch nothing in the first minute"
+    is_long = idle_s >= LEAST_IDLE_S
+    untouched = Rule(
+        "rest", "untouched at first", f"{idle_s:.0f} s", f"{LEAST_IDLE_S:.0f} s", is_long, cure
+    )
+    require([untouched, *press_rules(observer.model, presses, unheld)], "calibrate")
     if where is None:
         raise SetupError(
             "calibrate: the object was not found by touch, so its pose must be given: "
             "--object X Y YAW, in metres and radians, in the robot's world"
         )
-    known = Placed(where, given=placed is not None)
-    alive = replace(presses, live=presses.live & ~idle.frozen)
-    fit, noise = best_fit(observed.model, alive, idle.noise, known)
-    value, sd = fit.value, fit.sd
+    noise, stuck = observer.noise, observer.stuck
+    presses = Presses(presses.sensor, presses.counts, presses.live & ~stuck)
+    given = placed is not None
+    fit = fitted(observer.model, presses, noise, where, given=given)
+    errors = errors_of(observer.model, presses, noise, fit)
+    value, sd, layout = fit.value, fit.sd, observer.model.layout
     calibration = Calibration(
-        t=observed.t,
-        digest=skin_digest(observed.model.layout),
+        t=observer.t,
+        digest=skin_digest(layout),
         object=config.scene.names[0],
         presses=len(presses),
         full_scale_depth_m=config.skin.full_scale_depth_m,
@@ -114,42 +94,55 @@ def fitted(observed: Observed, config: Config, placed: Poses | None) -> Result:
         bend_sd=float(sd.bend[0]),
         mount=value.mount,
         mount_sd=sd.mount,
-        noise_sigma=float(noise.sigma),
-        gain_cv=float(noise.gain_cv),
+        noise_sigma=float(errors.sigma),
+        gain_cv=float(errors.gain_cv),
         gain=np.exp(value.log_gain),
         gain_sd=sd.log_gain,
         onset=value.onset,
         onset_sd=sd.onset,
-        noise_counts=np.maximum(idle.noise, ROUNDING_SD),
-        frozen=idle.frozen,
+        noise_counts=noise,
+        frozen=stuck,
     )
-    return Result(calibration, fit, observed, known.given)
+    rest = [
+        untouched,
+        Rule("rest", "noise", f"{np.median(noise):.1f} counts (median), {noise.max():.1f} at most"),
+        Rule("rest", "stuck", ", ".join(map(str, np.flatnonzero(stuck))) or "none"),
+    ]
+    rules = [
+        *rest,
+        *press_rules(observer.model, presses, unheld),
+        *fit_rules(fit, presses, given=given),
+        *_values(calibration, fit, given=given),
+    ]
+    return Result(calibration, observer.model, presses, fit, rules)
 
 
-@dataclass(frozen=True, slots=True)
-class Placed:
-    """Pose of the object, and whether it is exact."""
-
-    object: Poses  # (3,) in the world
-    given: bool
-
-
-def best_fit(
-    model: ObservationModel, presses: Presses, noise: Floats, known: Placed
-) -> tuple[FitResult, Noise]:
-    """→ the likeliest fit, and the filter's noise under which the presses are likeliest.
-
+def fitted(
+    model: ObservationModel, presses: Presses, noise: Floats, placed: Poses, *, given: bool
+) -> FitResult:
+    """The fit to presses of an object at a pose (3,) in the world, exactly where that is `given`;
     `noise` (M,): sd of a reading at rest [counts].
 
     Raises:
-        SetupError: the presses do not suffice, in one line with the cure.
+        SetupError: the presses do not suffice.
     """
-    _check_presses(model, presses)
-    starts = _starts(model, presses, known)
-    fits = [CalibrationFit(model, presses, noise, start).run() for start in starts]
-    fit = min(fits, key=lambda fit: fit.cost)
-    _check_fit(fit, presses, given=known.given)
-    return fit, _noise(model, presses, noise, fit)
+    require(press_rules(model, presses), "calibrate")
+    fit = likeliest(model, presses, noise, placed, given=given)
+    require(fit_rules(fit, presses, given=given), "calibrate")
+    return fit
+
+
+def press_rules(model: ObservationModel, presses: Presses, unheld: int = 0) -> list[Rule]:
+    """Rules on presses, of which so many more were not held still."""
+    felt, taken = len(np.unique(sides(model, presses))), int(covered(model).sum())
+    least, said = min(LEAST_SIDES, taken), f"{len(presses)}" + f", {unheld} not" * bool(unheld)
+    more = "press the object more often, and hold each press still for a second"
+    turn = "turn the sensor about its axis between presses"
+    is_many, is_round = len(presses) >= LEAST_PRESSES, felt >= least
+    return [
+        Rule("presses", "held still", said, f"{LEAST_PRESSES}", is_many, more),
+        Rule("presses", "sides of the skin", f"{felt}", f"{least}", is_round, turn),
+    ]
 
 
 def sides(model: ObservationModel, presses: Presses) -> Index:
@@ -169,62 +162,59 @@ def _eighth(at: Floats) -> Index:
     return np.floor((turn + 1.0 / 16.0) % 1.0 * 8.0).astype(np.intp)
 
 
-def _check_presses(model: ObservationModel, presses: Presses) -> None:
-    if len(presses) < LEAST_PRESSES:
-        raise SetupError(
-            f"calibrate: {len(presses)} presses were held still, and it takes {LEAST_PRESSES}; "
-            "press the object more often, and hold each press still for a second"
+def fit_rules(fit: FitResult, presses: Presses, *, given: bool) -> list[Rule]:
+    """Rules on a fit to presses of an object whose pose was `given`, or found along."""
+    most = f"{1e3 * SEARCHED[0]:.0f} mm and {np.degrees(SEARCHED[2]):.0f}°"
+    check = (
+        f"no mount within {most} explains the presses: check the bundle, the object's pose, that "
+        "it is held fast, and that no modules are swapped (taxeld-hil accept --press)"
+    )
+    turn = np.exp(1j * presses.sensor[:, 2])
+    turned = np.degrees(np.sqrt(np.mean(np.angle(turn / turn.mean()) ** 2)))
+    more = "press with other sides of the skin"
+    if not given:
+        more = (
+            f"turn the sensor between presses (its yaw differs by {turned:.0f}° now), or give the "
+            "object's pose with --object"
         )
-    felt = np.unique(sides(model, presses))
-    if len(felt) < min(LEAST_SIDES, int(np.count_nonzero(covered(model)))):
-        raise SetupError(
-            f"calibrate: the presses are on {len(felt)} of the skin's sides (eighths of a turn), "
-            f"and it takes {LEAST_SIDES}; turn the sensor about its axis between presses"
+    sd, left = fit.sd.mount, fit.left / MOST_LEFT
+    is_known = bool((sd <= KNOWN_MOUNT).all())
+    said, limit = f"± {_pose(sd)}", f"± {_pose(KNOWN_MOUNT)}"
+    return [
+        Rule("fit", "left over", f"{left:.2f} of what may be", "1", left <= 1.0, check),
+        Rule("fit", "mount", f"{_pose(fit.value.mount)} {said}", limit, is_known, more),
+    ]
+
+
+def _pose(q: Poses) -> str:
+    return f"({1e3 * q[0]:.2f} mm, {1e3 * q[1]:.2f} mm, {np.degrees(q[2]):.2f}°)"
+
+
+def _values(c: Calibration, fit: FitResult, *, given: bool) -> list[Rule]:
+    """What was measured, without a limit."""
+    known = c.gain_sd <= KNOWN_GAIN_SD
+    spread = np.std(np.log(c.gain[known])) if known.sum() > 2 else np.nan
+    depth_mm, sure = 1e3 * c.full_scale_depth_m, np.median(c.gain_sd[known]) if known.any() else 1.0
+    x, y, yaw = fit.value.object
+    return [
+        Rule("fit", *row)
+        for row in (
+            ("object", f"x {x:.4f} m, y {y:.4f} m, yaw {yaw:.4f} rad, "
+                       f"{'given' if given else 'found by touch'}"),
+            ("full scale", f"{c.full_scale_counts:.0f} counts ± {c.full_scale_sd:.1%} at "
+                           f"{depth_mm:g} mm"),
+            ("gains", f"{known.sum()} of {len(known)} taxels to {sure:.1%} (median), spread "
+                      f"{spread:.0%}; the others keep the spread of the skin"),
+            ("response", f"bend {c.bend:.3f} ± {c.bend_sd:.3f}, onset {np.median(c.onset):.2f} "
+                         "(median)"),
+            ("noise", f"{c.noise_sigma:.3f} of full scale, and {c.gain_cv:.0%} of a reading"),
         )
+    ]  # fmt: skip
 
 
-def _starts(model: ObservationModel, presses: Presses, known: Placed) -> list[Start]:
-    """The mounts of a grid that leave least of the readings unexplained, each with the full scale
-    that suits it best; none near another."""
-    object_sd = np.zeros(3) if known.given else OBJECT_SD
-    y = np.where(presses.live, np.maximum(presses.counts, 0.0), 0.0)
-    tried: list[tuple[float, Start]] = []
-    for mount in product(*(np.linspace(-most, most, STEPS) for most in SEARCHED)):
-        h = model.activation(_seen(presses.sensor, np.array(mount), known.object))
-        scale = float((h * y).sum() / max((h * h).sum(), 1e-9))
-        start = Start(max(scale, 1.0), np.array(mount), known.object, object_sd)
-        tried.append((float(np.abs(y - scale * h).sum()), start))
-    chosen: list[Start] = []
-    for _, start in sorted(tried, key=lambda one: one[0]):
-        if all((np.abs(start.mount - other.mount) > APART).any() for other in chosen):
-            chosen.append(start)
-    return chosen[:STARTS]
-
-
-def _check_fit(fit: FitResult, presses: Presses, *, given: bool) -> None:
-    if fit.left > MOST_LEFT:
-        raise SetupError(
-            f"calibrate: no mount within {1e3 * SEARCHED[0]:.0f} mm and "
-            f"{np.degrees(SEARCHED[2]):.0f}° explains the presses (left over: "
-            f"{fit.left / MOST_LEFT:.1f} times what may be); check the bundle, the object's pose "
-            "and that it is held fast, and that no modules are swapped (taxeld-hil accept --press)"
-        )
-    sd = fit.sd.mount
-    if (sd > KNOWN_MOUNT).any():
-        turn = np.exp(1j * presses.sensor[:, 2])
-        turned = np.degrees(np.sqrt(np.mean(np.angle(turn / turn.mean()) ** 2)))
-        cure = (
-            "press with other sides of the skin"
-            if given
-            else f"turn the sensor between presses (its yaw differs by {turned:.0f}° now), or give "
-            "the object's pose with --object"
-        )
-        off = f"{1e3 * sd[:2].max():.1f} mm, {np.degrees(sd[2]):.1f}°"
-        raise SetupError(f"calibrate: the mount cannot be told (sd {off}); {cure}")
-
-
-def _noise(model: ObservationModel, presses: Presses, noise: Floats, fit: FitResult) -> Noise:
-    """Each press is judged by a fit to other presses: a fit explains its own too well."""
+def errors_of(model: ObservationModel, presses: Presses, noise: Floats, fit: FitResult) -> Noise:
+    """The filter's noise under which the presses are likeliest. Each press is judged by a fit to
+    other presses: a fit explains its own too well."""
     readings: list[Floats] = []
     expected: list[Floats] = []
     value = fit.value
@@ -232,19 +222,13 @@ def _noise(model: ObservationModel, presses: Presses, noise: Floats, fit: FitRes
     for fold in range(FOLDS):
         left_out = np.arange(len(presses)) % FOLDS == fold
         other = CalibrationFit(model, presses.only(~left_out), noise, start).run().value
-        own = np.exp(other.log_full + other.log_gain)
-        inverse = Inverse(float(other.bend[0]), other.onset)
+        own, inverse = np.exp(other.log_full + other.log_gain), Inverse(other.bend[0], other.onset)
         part = presses.only(left_out)
         z = np.array([inverse(row / own) for row in part.counts])
         readings.append(np.where(z < FLOOR, 0.0, z)[part.live])
-        seen = _seen(part.sensor, value.mount, value.object)
-        expected.append(model.activation(seen)[part.live])
+        there = seen(part.sensor, value.mount, value.object)
+        expected.append(model.activation(there)[part.live])
     z, h = np.concatenate(readings), np.concatenate(expected)
     told = (z > 0.0) | (h > 0.0)  # all noises are alike for the other readings
     tried = [Noise(float(sigma), float(cv)) for sigma in SIGMAS for cv in GAIN_CVS]
     return max(tried, key=lambda noise: noise.log_density(z[told], h[told]).sum())
-
-
-def _seen(sensor: Poses, mount: Poses, placed: Poses) -> Poses:
-    """(K, 3) the object in the sensor's frame, from robot's poses (K, 3)."""
-    return se2.compose(se2.inverse(se2.compose(sensor, mount)), placed)

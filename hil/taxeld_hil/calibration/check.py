@@ -6,8 +6,6 @@ object's pose alone, and by that pose with a factor on all readings and an offse
 value is wrong where the second fit is far likelier and its factor or offset is large.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +20,7 @@ from taxeld.model import se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.response import deviation
+from taxeld_hil.rules import Rule, require
 
 LEAST_TOUCHES = 5
 FELT = 0.1  # share of full scale: noise and foam's residue touch more lightly
@@ -33,39 +32,11 @@ STARTS = np.zeros((7, 7))
 STARTS[:4, 0] = np.log([0.4, 0.7, 1.0, 2.5])
 STARTS[3:, 1:3] = 0.006 * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
 SCALE_MOST = 1.6  # responses of a skin differ in common by up to a third
-MOUNT_MOST_M, YAW_MOST = 0.002, np.radians(2.0)
+MOUNT_MOST_M, YAW_MOST_DEG = 0.002, 2.0
 CERTAIN_NATS = 22.0  # a rough skin imitates a wrong mount by up to 20
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationCheck:
-    """The two fits of one session."""
-
-    touches: int
-    scale: float  # factor on all readings
-    mount: Poses  # (3,) offset of the sensor's frame: m, m, rad
-    gained: float  # nats by which the second fit is likelier, without the touch that gains most
-
-    @property
-    def is_wrong(self) -> bool:
-        """Whether full scale or mount is certainly wrong, and by much. Few touches do not tell
-        which: a deeper reading may be either."""
-        x, y, yaw = self.mount
-        is_far = np.hypot(x, y) > MOUNT_MOST_M or abs(yaw) > YAW_MOST
-        off = is_far or abs(np.log(self.scale)) > np.log(SCALE_MOST)
-        return bool(off and self.gained >= CERTAIN_NATS)
-
-    def lines(self) -> Iterator[str]:
-        """The result in words."""
-        x, y, yaw = self.mount
-        yield f"touches    {self.touches}"
-        yield f"full scale × {self.scale:.2f}"
-        yield f"mount      x {1e3 * x:+.1f} mm, y {1e3 * y:+.1f} mm, yaw {np.degrees(yaw):+.1f}°"
-        yield f"likelier   by {self.gained:.0f} nats; chance gives less than {CERTAIN_NATS:.0f}"
-        yield "full scale or mount is wrong: calibrate again" if self.is_wrong else "both hold"
-
-
-def of_session(directory: Path, config: Config) -> CalibrationCheck:
+def of_session(directory: Path, config: Config) -> list[Rule]:
     """Replay a session and check its first link's values.
 
     Raises:
@@ -81,60 +52,59 @@ def of_session(directory: Path, config: Config) -> CalibrationCheck:
             before = touches.get(number)
             if before is None or used.z.sum() > before.z.sum():
                 touches[number] = used
-    estimate = pipeline.estimate
-    if len(touches) < LEAST_TOUCHES or estimate.p < LEAST_P:
-        raise SetupError(
-            f"{directory}: {len(touches)} touches with p {estimate.p:.0%} at the end; the check "
-            f"needs {LEAST_TOUCHES} and p {LEAST_P:.0%}: touch the object from more sides"
-        )
+    estimate, n, cure = pipeline.estimate, len(touches), "touch the object from more sides"
+    found = [
+        Rule("touches", "touches", f"{n}", f"{LEAST_TOUCHES}", n >= LEAST_TOUCHES, cure),
+        Rule("touches", "p", f"{estimate.p:.0%}", f"{LEAST_P:.0%}", estimate.p >= LEAST_P, cure),
+    ]
+    require(found, str(directory))
     model = pipeline.estimator.known[estimate.object].model
-    return _Fits(model, [*touches.values()], estimate.map, noise_of(config.filter)).check()
+    return found + _rules(model, [*touches.values()], estimate.map, noise_of(config.filter))
 
 
-class _Fits:
-    """Both fits of K touches; parameters are (7,): log scale, mount, and the object's shift."""
+def _rules(
+    model: ObservationModel, touches: list[Observation], where: Poses, noise: Noise
+) -> list[Rule]:
+    """The rules on K touches of an object about the pose `where` (3,). Parameters of a fit are
+    (7,): log scale, mount, and the object's shift."""
+    z, live = np.array([one.z for one in touches]), np.array([one.live for one in touches])
+    floor = np.array([one.floor + 0.0 * one.z for one in touches])
+    residue = np.array([one.residue + 0.0 * one.z for one in touches])
+    sensor = np.array([one.sensor for one in touches])
 
-    def __init__(
-        self, model: ObservationModel, touches: list[Observation], where: Poses, noise: Noise
-    ) -> None:
-        self._model, self._where, self._noise = model, where, noise
-        self._sensor = np.array([one.sensor for one in touches])
-        self._z = np.array([one.z for one in touches])
-        self._live = np.array([one.live for one in touches])
-        ones = np.ones_like(self._z[0])
-        self._floor = np.array([one.floor * ones for one in touches])
-        self._residue = np.array([one.residue * ones for one in touches])
-
-    def check(self) -> CalibrationCheck:
-        tried = [least_squares(self._residuals, x, loss="soft_l1").x for x in STARTS]
-        free = min(tried, key=lambda x: self._nats(x).sum())
-        own = least_squares(
-            lambda q: self._residuals(np.r_[np.zeros(4), q]), np.zeros(3), loss="soft_l1"
-        ).x
-        gained = self._nats(np.r_[np.zeros(4), own]) - self._nats(free)
-        return CalibrationCheck(
-            len(self._z), float(np.exp(free[0])), free[1:4], gained.sum() - gained.max()
-        )
-
-    def _expected(self, x: Floats) -> Floats:
-        """Readings (K, M)."""
-        mounted = se2.compose(self._sensor, x[1:4])
-        seen = se2.compose(se2.inverse(mounted), self._where + x[4:])
-        return np.asarray(np.exp(x[0]) * self._model.activation(seen))
-
-    def _errors(self, x: Floats) -> Floats:
+    def errors(x: Floats) -> Floats:
         """(K, M) in standard deviations; 0 where a reading tells nothing of what is expected."""
-        h = self._expected(x)
+        seen = se2.compose(se2.inverse(se2.compose(sensor, x[1:4])), where + x[4:])
+        h = np.exp(x[0]) * model.activation(seen)
         within = np.minimum(h, 1.0)
         own = ONSET_SD * deviation(within)
-        sd = np.sqrt(self._noise.variance(within) + own**2 + self._residue**2)
-        told = self._live & ~((self._z >= 1.0) & (h >= 1.0))
-        told &= ~((self._z == 0.0) & (h <= self._floor))
-        return np.asarray(np.where(told, (self._z - h) / sd, 0.0))
+        sd = np.sqrt(noise.variance(within) + own**2 + residue**2)
+        told = live & ~((z >= 1.0) & (h >= 1.0)) & ~((z == 0.0) & (h <= floor))
+        return np.asarray(np.where(told, (z - h) / sd, 0.0))
 
-    def _residuals(self, x: Floats) -> Floats:
-        return np.concatenate([self._errors(x).ravel(), x / PRIOR_SD])
+    def residuals(x: Floats) -> Floats:
+        return np.concatenate([errors(x).ravel(), x / PRIOR_SD])
 
-    def _nats(self, x: Floats) -> Floats:
+    def nats(x: Floats) -> Floats:
         """The robust cost (K,) of each touch."""
-        return np.asarray((np.sqrt(1.0 + self._errors(x) ** 2) - 1.0).sum(axis=1))
+        return np.asarray((np.hypot(1.0, errors(x)) - 1.0).sum(axis=1))
+
+    fits = [least_squares(residuals, x, loss="soft_l1").x for x in STARTS]
+    free = min(fits, key=lambda x: float(nats(x).sum()))
+    fixed = np.zeros(4)
+    own = least_squares(lambda q: residuals(np.r_[fixed, q]), np.zeros(3), loss="soft_l1").x
+    gains = nats(np.r_[fixed, own]) - nats(free)
+    gained = float(gains.sum() - gains.max())  # without the touch that gains most
+    scale, (x, y, yaw) = float(np.exp(free[0])), free[1:4] * [1.0, 1.0, np.degrees(1.0)]
+    is_off = abs(np.log(scale)) > np.log(SCALE_MOST)
+    is_far = np.hypot(x, y) > MOUNT_MOST_M or abs(yaw) > YAW_MOST_DEG
+    is_sure = gained >= CERTAIN_NATS
+    likelier = f"likelier by {gained:.0f} nats"
+    limit = f"{1e3 * MOUNT_MOST_M:g} mm, {YAW_MOST_DEG:g}°, {CERTAIN_NATS:.0f} nats"
+    cure = "full scale or mount is wrong, and few touches do not tell which: calibrate again"
+    said = f"x {1e3 * x:+.1f} mm, y {1e3 * y:+.1f} mm, yaw {yaw:+.1f}°, {likelier}"
+    factor, most = f"× {scale:.2f}, {likelier}", f"× {SCALE_MOST:g}, {CERTAIN_NATS:.0f} nats"
+    return [
+        Rule("fit", "full scale", factor, most, not (is_off and is_sure), cure),
+        Rule("fit", "mount", said, limit, not (is_far and is_sure), cure),
+    ]

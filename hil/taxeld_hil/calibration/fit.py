@@ -8,13 +8,14 @@ less certain.
 """
 
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import csr_array, eye_array, vstack
 
-from taxeld.arrays import Bools, Floats, Index, Poses
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import response
@@ -34,8 +35,14 @@ FIRM = 0.2  # full scales: a reading so strong is missed where the fit expects n
 MISSED_COST = 4.0  # cost of a missed reading: no fit gains by missing it
 LEAST_COSINE = 0.6  # between a taxel's normal and the shortest way out of the object
 STEP_M, STEP = 1e-4, 1e-3  # for differences: along x and y, and of all other unknowns
+POSE_STEP = np.array([STEP_M, STEP_M, STEP])
 ROUNDS, STEPS = 8, 25  # most rounds of a fit, and most steps of a round
 SETTLED = 0.1  # prior sd: a round that changes no unknown by more is the last
+SEARCHED = np.array([0.006, 0.006, np.radians(8.0)])  # largest mounts that are tried: m, m, rad
+MOUNTS = 7  # mounts that are tried along each axis
+APART = np.array([0.003, 0.003, np.radians(3.0)])  # mounts that differ by less are one start
+STARTS = 3  # fits, of which the likeliest is the result
+OBJECT_SD = np.array([0.03, 0.03, 0.3])  # m, m, rad: of an object's pose that is not given
 
 
 class Unknowns(NamedTuple):
@@ -45,7 +52,8 @@ class Unknowns(NamedTuple):
     bend: Floats  # (1,) of the common response
     mount: Poses  # (3,) the sensor's frame in the robot's
     object: Poses  # (3,) in the world
-    place: Floats  # (2 K,) x of each press off the place that the robot states, then y [m]
+    x: Floats  # (K,) of each press off the place that the robot states [m]
+    y: Floats
     log_gain: Floats  # (M,)
     onset: Floats  # (M,) of each taxel's response
 
@@ -93,34 +101,30 @@ class CalibrationFit:
         """`noise` (M,): sd of a reading at rest [counts]."""
         k, m = presses.counts.shape
         self._model, self._presses, self._noise = model, presses, noise
-        self._cuts = np.cumsum([1, 1, 3, 3, 2 * k, m])  # between the kinds of unknowns
-        self._mean = np.concatenate(
-            [
-                [np.log(start.full_scale), BEND_MEAN],
-                np.zeros(3),
-                start.object,
-                np.zeros(2 * k + m),
-                np.full(m, ONSET_MEAN),
-            ]
-        )
-        self._sd = np.concatenate(
-            [
-                [FULL_SCALE_SD, BEND_SD],
-                MOUNT_SD,
-                start.object_sd,
-                np.full(2 * k, ROBOT_SD_M),
-                np.full(m, GAIN_SD),
-                np.full(m, ONSET_SD),
-            ]
+        kinds = [  # number, mean and sd before the presses, step for differences
+            (1, np.log(start.full_scale), FULL_SCALE_SD, STEP),
+            (1, BEND_MEAN, BEND_SD, STEP),
+            (3, 0.0, MOUNT_SD, POSE_STEP),
+            (3, start.object, start.object_sd, POSE_STEP),
+            (k, 0.0, ROBOT_SD_M, STEP_M),
+            (k, 0.0, ROBOT_SD_M, STEP_M),
+            (m, 0.0, GAIN_SD, STEP),
+            (m, ONSET_MEAN, ONSET_SD, STEP),
+        ]
+        number = [kind[0] for kind in kinds]
+        self._cuts = np.cumsum(number)[:-1]  # between the kinds of unknowns
+        self._mean, self._sd, self._step = (
+            np.concatenate([np.broadcast_to(one, n) for one, n in zip(each, number, strict=True)])
+            for each in [*zip(*kinds, strict=True)][1:]
         )
         self._begin = np.zeros_like(self._mean)  # unknowns are sought in prior sd about the mean
         self._begin[2:5] = start.mount / MOUNT_SD
-        self._gains = slice(8 + 2 * k, 8 + 2 * k + m)
+        self._gains = slice(*self._cuts[5:7])
         press, taxel = np.indices((k, m))
-        self._columns: list[Index] = [  # for each kind, the unknown that a reading depends on
-            *(np.full((k, m), column) for column in range(8)),
-            *(8 + press, 8 + k + press, 8 + 2 * k + taxel, 8 + 2 * k + m + taxel),
-        ]
+        common = [np.full((k, m), at) for at in range(8)]
+        own = [press, k + press, 2 * k + taxel, 2 * k + m + taxel]
+        # (12, K, M) the unknowns on which each reading depends
+        self._columns = np.stack([*common, *(8 + at for at in own)])
 
     def run(self) -> FitResult:
         """The likeliest values near the start. In each round the conditions are held, so that what
@@ -144,8 +148,8 @@ class CalibrationFit:
     def _seen(self, x: Unknowns) -> Poses:
         """(K, 3) the object in the sensor's frame."""
         sensor = self._presses.sensor.copy()
-        sensor[:, :2] += x.place.reshape(2, -1).T
-        return se2.compose(se2.inverse(se2.compose(sensor, x.mount)), x.object)
+        sensor[:, :2] += np.stack([x.x, x.y], axis=1)
+        return seen(sensor, x.mount, x.object)
 
     def _conditions(self, u: Floats) -> HeldTerms:
         x = self._values(u)
@@ -178,16 +182,14 @@ class CalibrationFit:
         taxel, so the unknowns of all presses, or of all taxels, are varied at once."""
         x = self._mean + self._sd * u
         before = self._residuals(self._split(x), held)
-        slopes: list[Floats] = []
+        changes: list[Floats] = []
         for columns in self._columns:
-            kind = columns.flat[0]
-            lengths = kind in (2, 3, 5, 6) or 8 <= kind < self._gains.start
-            moved = x.copy()
-            moved[np.unique(columns)] += (step := STEP_M if lengths else STEP)
-            slopes.append((self._residuals(self._split(moved), held) - before) / step)
-        column = np.stack([columns[held.used] for columns in self._columns])
+            moved, varied = x.copy(), np.unique(columns)
+            moved[varied] += self._step[varied]
+            changes.append(self._residuals(self._split(moved), held) - before)
+        column = self._columns[:, held.used]
         row = np.broadcast_to(np.arange(len(before)), column.shape)
-        values = (np.stack(slopes) * self._sd[column]).ravel()
+        values = (np.stack(changes) * (self._sd / self._step)[column]).ravel()
         return csr_array((values, (row.ravel(), column.ravel())), shape=(len(before), len(x)))
 
     def _fit(self, u: Floats, covariance: Floats) -> FitResult:
@@ -244,3 +246,33 @@ def _doubt(model: ObservationModel, q: Poses) -> Floats:
 def _expected(x: Unknowns, depth: Floats) -> Floats:
     """(K, M) counts at depths (K, M)."""
     return np.asarray(np.exp(x.log_full + x.log_gain) * response(depth, x.bend, x.onset))
+
+
+def likeliest(
+    model: ObservationModel, presses: Presses, noise: Floats, placed: Poses, *, given: bool
+) -> FitResult:
+    """The likeliest of several fits, with the object near a pose (3,) in the world, or exactly
+    there where that is `given`. They start at the mounts of a grid that leave least of the readings
+    unexplained, each with the full scale that suits it best; none near another.
+
+    `noise` (M,): sd of a reading at rest [counts].
+    """
+    object_sd = np.zeros(3) if given else OBJECT_SD
+    y = np.where(presses.live, np.maximum(presses.counts, 0.0), 0.0)
+    tried: list[tuple[float, Start]] = []
+    for mount in product(*(np.linspace(-most, most, MOUNTS) for most in SEARCHED)):
+        h = model.activation(seen(presses.sensor, np.array(mount), placed))
+        scale = float((h * y).sum() / max((h * h).sum(), 1e-9))
+        start = Start(max(scale, 1.0), np.array(mount), placed, object_sd)
+        tried.append((float(np.abs(y - scale * h).sum()), start))
+    chosen: list[Start] = []
+    for _, start in sorted(tried, key=lambda one: one[0]):
+        if all((np.abs(start.mount - other.mount) > APART).any() for other in chosen):
+            chosen.append(start)
+    fits = [CalibrationFit(model, presses, noise, start).run() for start in chosen[:STARTS]]
+    return min(fits, key=lambda fit: fit.cost)
+
+
+def seen(sensor: Poses, mount: Poses, placed: Poses) -> Poses:
+    """(K, 3) the object in the sensor's frame, from robot's poses (K, 3)."""
+    return se2.compose(se2.inverse(se2.compose(sensor, mount)), placed)

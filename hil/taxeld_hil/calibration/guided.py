@@ -20,8 +20,8 @@ from taxeld_hil.calibration.calibrate import LEAST_PRESSES, covered, sides
 from taxeld_hil.calibration.observer import Observer, uncalibrated
 from taxeld_protocol.decoder import Scan
 
-LOOK_S = 0.5  # between two looks for presses that have ended
-TELL_S = 10.0  # between two equal lines
+LOOK_S = 0.5  # between two looks at the presses
+TELL_S = 10.0  # of rest, between two lines
 NO_SCANS_S = 15.0  # without any scan; a hub that was just powered needs seconds
 EIGHTH_DEG = 45.0  # a side of the skin
 
@@ -33,12 +33,12 @@ class Guided:
         self,
         config: Config,
         config_path: Path,
-        directory: Path,
+        out: Path,
         idle_s: float,
         presses: int,
         say: Callable[[str], None],
     ) -> None:
-        """`directory`: of the session that is recorded.
+        """`out`: file of the calibration; the session is recorded beside it.
 
         Raises:
             SetupError: the configuration has no robot, or something in it cannot be used.
@@ -48,100 +48,72 @@ class Guided:
                 "sensor_pose.endpoint: is empty; a calibration needs the robot's poses"
             )
         config = uncalibrated(config)
-        self._pipeline = prepared(config, time.time()).pipeline
-        self._observer = Observer(self._pipeline)
-        self._recording = Recording(config, config_path, directory)
-        self._directory = directory
-        self._idle_s, self._wanted, self._say = idle_s, presses, say
-        self._begun_s = time.monotonic()
-        self._next_look_s = self._next_line_s = self._begun_s
-        self._came = self._asked = False
-        self._held = self._unheld = 0  # presses so far
-
-    @staticmethod
-    def place(out: Path) -> Path:
-        """Directory for the session of a calibration that is written to `out`: beside it, and
-        without a session yet."""
         names = (".session" if k == 1 else f".session-{k}" for k in count(1))
         places = (out.with_suffix(name) for name in names)
-        return next(place for place in places if not (place / session.ABOUT).exists())
-
-    def stop(self) -> None:
-        """End before all presses are there."""
-        self._recording.stopping = True
+        self.directory = next(place for place in places if not (place / session.ABOUT).exists())
+        self.recording = Recording(config, config_path, self.directory)
+        self._pipeline = prepared(config, time.time()).pipeline
+        self._observer = Observer(self._pipeline)
+        self._idle_s, self._wanted, self._say = idle_s, presses, say
+        self._begun_s = self._next_look_s = time.monotonic()
+        self._line = ""  # that was said last
 
     def run(self) -> bool:
         """Record; → whether all presses are there."""
         self._say(
             f"1. touch nothing for {self._idle_s:.0f} s; the object is held fast, the sensor away"
         )
-        self._say(self._recording.run(self._on_poll))
-        if self._held >= self._wanted:
+        self._say(self.recording.run(self._on_poll))
+        held = len(self._observer.presses.found()[0])
+        if held >= self._wanted:
             return True
-        if self._recording.failed:
+        if self.recording.failed:
             self._say("the disk took no more; make room and begin again")
-        else:
-            more = f"; what was recorded can be: taxeld calibrate {self._directory} --out FILE"
-            self._say(
-                f"ended after {self._held} of {self._wanted} presses: nothing is fitted"
-                f"{more if self._held >= LEAST_PRESSES else ''}"
-            )
+            return False
+        more = f"; what was recorded can be: taxeld calibrate {self.directory} --out FILE"
+        self._say(
+            f"ended after {held} of {self._wanted} presses: nothing is fitted"
+            f"{more if held >= LEAST_PRESSES else ''}"
+        )
         return False
 
     def _on_poll(self, scans: list[Scan], track: PoseTrack) -> None:
         now_s = time.monotonic()
         self._pipeline.stages[0].poses = track
-        self._came |= bool(scans)
         for outcome in self._pipeline.advance(scans, time.time()):
             self._observer.on_outcome(outcome)
-        if not self._came and now_s - self._begun_s > NO_SCANS_S:
+        if not self.recording.scans and now_s - self._begun_s > NO_SCANS_S:
             raise SetupError(
                 f"source.channel: no scan came within {NO_SCANS_S:.0f} s; check the skin "
                 "(taxeld-hil accept)"
             )
         if now_s >= self._next_look_s:
-            self._next_look_s = now_s + LOOK_S
-            said = self._press(now_s) if self._asked else self._rest(now_s)
-            if said:
-                self._say(said)
-                self._next_line_s = now_s + TELL_S
+            self._next_look_s, before = now_s + LOOK_S, self._line
+            self._line = self._now()
+            if self._line != before:
+                self._say(self._line)
 
-    def _rest(self, now_s: float) -> str:
-        """A line to say while the skin must be left alone, or nothing."""
-        done_s = self._observer.idle_s
-        if done_s >= self._idle_s:
-            self._asked = True
+    def _now(self) -> str:
+        """What the user has to know at this time. It is said when it changes."""
+        observer, wanted, done_s = self._observer, self._wanted, self._observer.idle_s
+        if done_s < self._idle_s:
+            if observer.is_touched:
+                raise SetupError(
+                    f"calibrate: something was touched after {done_s:.0f} of {self._idle_s:.0f} s; "
+                    "keep the skin clear and begin again; what was recorded can be removed"
+                )
+            return f"   {done_s // TELL_S * TELL_S:.0f} of {self._idle_s:.0f} s"
+        if self._pipeline.poses.latest_t < 0.0:
+            return "   no pose has come from the robot yet (sensor_pose.endpoint)"
+        presses, unheld = observer.presses.found()
+        if not presses and not unheld:
             return (
-                f"2. press the object {self._wanted} times, 4 to 5 mm deep, each time still for a "
+                f"2. press the object {wanted} times, 4 to 5 mm deep, each time still for a "
                 "second; go round it, and turn the sensor so that another side of the skin presses"
             )
-        if self._observer.is_touched:
-            raise SetupError(
-                f"calibrate: something was touched after {done_s:.0f} of {self._idle_s:.0f} s; "
-                "keep the skin clear and begin again; what was recorded can be removed"
-            )
-        if now_s < self._next_line_s:
-            return ""
-        return f"   {done_s:.0f} of {self._idle_s:.0f} s" if done_s else "   waiting for scans"
-
-    def _press(self, now_s: float) -> str:
-        """A line to say of the presses so far, or nothing."""
-        presses, unheld = self._observer.presses()
-        held, self._held = self._held, len(presses)
-        if unheld > self._unheld and held == self._held:
-            self._unheld = unheld
-            return "   that one was not held still; it does not count"
-        so_far = f"   {self._held} of {self._wanted}"
-        if self._held >= self._wanted:
-            self._recording.stopping = True
-            return so_far
-        if self._held > held:
-            model = self._pipeline.estimator.model
-            felt = np.bincount(sides(model, presses), minlength=8)
-            least = np.where(covered(model), felt, len(presses) + 1).argmin()
-            return f"{so_far}; next with the skin's side at {EIGHTH_DEG * least:.0f}°"
-        if now_s < self._next_line_s:
-            return ""
-        if self._pipeline.poses.latest_t < 0.0:
-            return f"{so_far}; no pose has come from the robot yet (sensor_pose.endpoint)"
-        return f"{so_far}; waiting for a press"
+        self.recording.stopping |= len(presses) >= wanted
+        felt = np.bincount(sides(observer.model, presses), minlength=8)
+        least = np.where(covered(observer.model), felt, len(presses) + 1).argmin()
+        also = f" ({unheld} more were not held still)" if unheld else ""
+        side = f"next with the skin's side at {EIGHTH_DEG * least:.0f}°"
+        return f"   {len(presses)} of {wanted}{also}; {side}"

@@ -1,12 +1,12 @@
-"""Presses that were held still, found in the scans of a session.
+"""Presses that were held still, found in the scans of a session as they come.
 
 A press begins when the skin reads something and ends when most of that is gone: foam reads on for
 long after a release. Of a press the deepest part is used in which the sensor stood still, and of
 that the first second, before the foam gives way further.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -36,59 +36,57 @@ class Presses:
         return Presses(self.sensor[kept], self.counts[kept], self.live[kept])
 
 
-def find(
-    sensor: Poses, counts: Floats, live: Bools, felt: Bools, radius_m: float
-) -> tuple[Presses, int]:
-    """The presses that were held still, and how many were not.
+class PressFinder:
+    """Finds the presses of a skin of M taxels, scan by scan."""
 
-    Of N scans in the order of time: the robot's poses `sensor` (N, 3), `counts` (N, M) over
-    baseline, and which were `live` (N, M) and `felt` (N, M), strong enough for a press; `radius_m`
-    of the skin.
-    """
-    steps = se2.compose(se2.inverse(sensor[:-1]), sensor[1:])
-    moved = np.hypot(steps[:, 0], steps[:, 1]) + radius_m * np.abs(steps[:, 2]) >= STILL_M
-    pressed = np.where(felt, counts, 0.0)
-    held: list[slice] = []
-    unheld: list[float] = []
-    for press in _touches(pressed.sum(axis=1)):
-        hold = _hold(counts, moved, press)
-        if hold is None:
-            unheld.append(pressed[press].max())
+    def __init__(self, taxels: int, radius_m: float) -> None:
+        self._taxels, self._radius_m = taxels, radius_m
+        self._scans: list[tuple[Poses, Floats, Bools]] = []  # of the press under way
+        self._peak = self._strongest = 0.0  # of that press: sum of all taxels, and of one taxel
+        self._held: list[tuple[Poses, Floats, Bools]] = []
+        self._unheld: list[float] = []  # strongest reading of each
+
+    def take(self, sensor: Poses, counts: Floats, live: Bools, felt: Bools) -> None:
+        """Take a scan: the robot's pose (3,), counts over baseline (M,), and taxels (M,) that are
+        live, and that read enough for a press."""
+        pressed = np.where(felt, counts, 0.0)
+        strength = float(pressed.sum())
+        self._peak = max(self._peak, strength)
+        if strength < ENDED * self._peak:
+            self._end()
+        elif self._peak:
+            self._strongest = max(self._strongest, float(pressed.max()))
+            self._scans.append((sensor, counts.copy(), live))
+
+    def found(self) -> tuple[Presses, int]:
+        """The presses that have ended and were held still, and how many were not."""
+        sensor, counts, live = ([row[k] for row in self._held] for k in range(3))
+        presses = Presses(
+            np.reshape(sensor, (-1, 3)),
+            np.reshape(counts, (-1, self._taxels)),
+            np.reshape(live, (-1, self._taxels)).astype(bool),
+        )
+        strongest = presses.counts.max(axis=1, initial=0.0)
+        least = WEAK * np.median(strongest) if len(presses) else 0.0
+        return presses.only(strongest >= least), sum(one >= least for one in self._unheld)
+
+    def _end(self) -> None:
+        """The press under way has ended."""
+        sensor, counts, live = (np.array(part) for part in zip(*self._scans, strict=True))
+        steps = se2.compose(se2.inverse(sensor[:-1]), sensor[1:])
+        moved = np.hypot(steps[:, 0], steps[:, 1]) + self._radius_m * np.abs(steps[:, 2]) >= STILL_M
+        best, strength = None, 0.0
+        for begin, end in pairwise([0, *(1 + np.flatnonzero(moved)), len(sensor)]):
+            if end - begin >= LEAST_SCANS:
+                hold = slice(begin, min(end, begin + MOST_SCANS))
+                # the first scan may have begun on the way in
+                mean = counts[hold][1:].mean(axis=0)
+                now = float(np.maximum(mean, 0.0).sum())
+                if now > strength:
+                    alive = np.asarray(live[hold].all(axis=0))
+                    best, strength = (sensor[begin], mean, alive), DEEPER * now
+        if best is None:
+            self._unheld.append(self._strongest)
         else:
-            held.append(hold)
-    shape = len(held), counts.shape[1]
-    mean = np.array([_mean(counts, hold) for hold in held]).reshape(shape)
-    alive = np.array([live[hold].all(axis=0) for hold in held], dtype=bool).reshape(shape)
-    found = Presses(sensor[[hold.start for hold in held]], mean, alive)
-    strongest = mean.max(axis=1, initial=0.0)
-    least = WEAK * np.median(strongest) if held else 0.0
-    return found.only(strongest >= least), sum(one >= least for one in unheld)
-
-
-def _touches(strength: Floats) -> Iterator[slice]:
-    """Scans of each press that has ended, from what was felt in all (N,)."""
-    begin, peak = 0, 0.0
-    for k, now in enumerate(strength):
-        peak = max(peak, now)
-        if now < ENDED * peak:
-            yield slice(begin, k)
-        if now < ENDED * peak or not peak:
-            begin, peak = k + 1, 0.0
-
-
-def _hold(counts: Floats, moved: Bools, press: slice) -> slice | None:
-    """The scans of a press, in which the sensor stood still at its deepest."""
-    ends = [press.start, *(press.start + 1 + np.flatnonzero(moved[press.start : press.stop - 1]))]
-    best, strength = None, 0.0
-    for begin, end in zip(ends, [*ends[1:], press.stop], strict=True):
-        hold = slice(begin, min(end, begin + MOST_SCANS))
-        if end - begin >= LEAST_SCANS:
-            now = float(np.maximum(_mean(counts, hold), 0.0).sum())
-            if now > strength:
-                best, strength = hold, DEEPER * now
-    return best
-
-
-def _mean(counts: Floats, hold: slice) -> Floats:
-    """(M,) without the first scan of the hold, which may have begun on the way in."""
-    return np.asarray(counts[hold][1:].mean(axis=0))
+            self._held.append(best)
+        self._scans, self._peak, self._strongest = [], 0.0, 0.0
