@@ -6,7 +6,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
 .PHONY: demo test check node lint docs bench bench-one-core bench-peers picture screenshot
-.PHONY: deb dist-test lock sbom vm-test clean
+.PHONY: results deb dist-test lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
@@ -28,7 +28,7 @@ lint: .venv/.all
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python tests/words.py
-	$(BIN)/python tests/figures.py
+	$(BIN)/python -m taxeld_training.trials.tables
 
 # The documentation as a site in .venv/site; a link that leads nowhere ends it
 docs: .venv/.docs
@@ -44,6 +44,12 @@ bench-one-core: .venv/.all
 # One update beside other filters, in an environment of their own: `particles` needs an older numpy
 bench-peers: .venv/.peers
 	PYTHONPATH=firmware_protocol:daemon OPENBLAS_NUM_THREADS=1 .venv/peers/bin/python benchmarks/peers.py
+
+# All questions at full size, some hours on two cores; it goes on where it was cut. ASK adds options,
+# as --workers tcp://HOST:8786 or --layout skin.json
+results: .venv/.all
+	$(BIN)/taxeld-train evaluate $(ASK)
+	$(BIN)/python -m taxeld_training.trials.tables --write
 
 # The README's picture, four moments of a demo session, and the notebook's
 picture: .venv/.all

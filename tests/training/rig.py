@@ -1,8 +1,6 @@
-"""Helpers that several tests of training share: small skins and solids, and a quick experiment."""
+"""Helpers that several tests of training share: small skins and solids."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
@@ -13,7 +11,6 @@ from taxeld.layout.layout import Layout
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.objects import scenes
-from taxeld_training.cli import main
 
 RING = "cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015"
 THREE_ROWS = "cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015"
@@ -65,19 +62,6 @@ def ring() -> Layout:
 def gap_m(model: ObservationModel, poses: Poses) -> Poses:
     """(N,) clearance between the skin and the object at poses (N, 3)."""
     return contacts.clearance(model.scene, model.layout.radius_m, poses)
-
-
-def evaluate(name: str, thing: Path | str, place: Path, *more: str) -> int:
-    """The exit code of a quick experiment on an object, with its files under `place`."""
-    where = ["--out", str(place / "out"), "--memory", str(place / "memory")]
-    quick = ["--quick", "--objects", str(thing), "--workers", "1"]
-    return main(["evaluate", name, *quick, *where, *more])
-
-
-def rows(place: Path, name: str) -> list[dict[str, Any]]:
-    """The rows that `evaluate` wrote."""
-    found: list[dict[str, Any]] = json.loads((place / "out" / f"{name}.json").read_text("utf-8"))
-    return found
 
 
 def written_at(memory: Path) -> dict[Path, int]:

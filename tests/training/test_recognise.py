@@ -1,9 +1,8 @@
-"""Which of several objects is felt: figures, experiment, and what a build says is alike."""
+"""Which of several objects can be told apart, as a build says it."""
 
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,16 +10,14 @@ import pytest
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 from taxeld_training.cli import main
-from taxeld_training.filters import identities, recognise
-from taxeld_training.filters.identities import UNKNOWN, Identities
+from taxeld_training.filters import identities
+from taxeld_training.filters.identities import Identities
 from tests.rig.commands import refused
 
 from . import rig
-from .rig import evaluate, rows, written_at
 
 pytestmark = pytest.mark.check
 
-TOUCHES = 8
 NAMES = ("box", "mug")
 
 
@@ -38,31 +35,6 @@ def given(*runs: tuple[int, list[float], float]) -> Identities:
     return Identities(p, radius_mm, error_mm, true, named, objects, other)
 
 
-def test_an_estimate_of_another_object_is_neither_right_nor_found_and_misleads_if_it_is_sure() -> (
-    None
-):
-    one = given((0, [0.9], 0.99), (0, [0.2], 0.99), (1, [0.2], 0.5))
-    found = identities.after(one, 1)
-    assert (found["right"], found["found"]) == (0.6667, 0.6667)
-    assert (found["found_and_sure"], found["misleading"]) == (0.3333, 0.3333)
-    assert found["p_true"] == pytest.approx((0.9 + 0.2 + 0.72) / 3, abs=1e-4)
-
-
-def test_far_from_the_right_object_is_right_but_not_found() -> None:
-    one = given((0, [0.9], 0.99))
-    one.error_mm[:] = 10.1
-    found = identities.after(one, 1)
-    assert (found["right"], found["found"], found["misleading"]) == (1.0, 0.0, 1.0)
-
-
-@pytest.mark.parametrize(("unknown", "area"), [(0.1, 1.0), (0.9, 0.5), (0.99, 0.0)])
-def test_unknown_objects_are_told_apart_by_the_probability_of_none(
-    unknown: float, area: float
-) -> None:
-    one = given((0, [0.9], 0.5), (0, [0.9], 0.5), (UNKNOWN, [unknown], 0.5))
-    assert identities.told_apart(one, 1) == area
-
-
 def test_a_pair_is_parted_once_the_touched_one_stays_likely_to_the_end() -> None:
     one = given(
         (0, [0.5, 0.999, 0.5, 0.999], 0.5),  # parted after 4: it was in doubt again
@@ -74,35 +46,6 @@ def test_a_pair_is_parted_once_the_touched_one_stays_likely_to_the_end() -> None
     assert (box["object"], box["other"], box["median"], box["q90"]) == ("box", "mug", 2, 4)
     assert (box["not_parted"], box["alike"]) == (0.0, False)
     assert (mug["median"], mug["q90"], mug["not_parted"], mug["alike"]) == (4, None, 0.5, True)
-
-
-def test_cost_is_the_ratio_of_medians_of_the_first_second_and_later_touches() -> None:
-    several_ms = np.array([[9.0, 8.0, 0.0, 0.0, 0.0, 2.0, 2.0, 200.0]] * 3)
-    found = identities.cost(several_ms, np.ones((3, 8)))
-    ratios = found["first_ratio"], found["second_ratio"], found["settled_ratio"]
-    assert ratios == (9.0, 8.0, 2.0)
-
-
-def test_recognise_has_rows_of_known_and_unknown_objects_and_goes_on_where_it_was_cut(
-    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recognise, "SKINS", ("exact",))
-    few = ("--seeds", "1")
-    assert evaluate("recognise", f"{block},025_mug", tmp_path, *few) == 0
-    found = rows(tmp_path, "recognise")
-    mine = [row for row in found if (row["of"], row["skin"]) == (recognise.TEN, "exact")]
-    of: dict[str, list[dict[str, Any]]] = {}
-    for row in mine:
-        of.setdefault(row["figure"], []).append(row)
-    assert {"identity", "cost", "calibration", "unknown"} <= of.keys()
-    assert {row["object"] for row in of["identity"]} == {"all", str(block), "025_mug"}
-    assert [row["contact"] for row in of["identity"][:TOUCHES]] == list(range(1, TOUCHES + 1))
-    assert [row["contact"] for row in of["unknown"] if "contact" in row] == list(recognise.TOLD)
-    others = {row["figure"] for row in found if row["of"] == recognise.OTHER_TEN}
-    assert "unknown" not in others  # only the first filter meets them
-    before = written_at(tmp_path / "memory")
-    assert evaluate("recognise", f"{block},025_mug", tmp_path, *few) == 0
-    assert written_at(tmp_path / "memory") == before
 
 
 @pytest.fixture

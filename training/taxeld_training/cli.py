@@ -1,10 +1,8 @@
 """`taxeld-train`: the offline commands."""
 
 import argparse
-import math
+import re
 import sys
-import time
-from importlib import import_module
 from pathlib import Path
 
 from taxeld import command_line
@@ -15,17 +13,7 @@ from taxeld_hil import options
 from taxeld_hil.objects import HEIGHT_M
 from taxeld_training.objects import DEPTH_MAX_M
 
-EXPERIMENTS = {  # name → module, and the function in it that writes rows
-    "whole": ("filters.whole", "whole_rows"),
-    "works": ("filters.works", "work_rows"),
-    "stability": ("filters.stability", "stability_rows"),
-    "reliability": ("filters.reliability", "reliability_rows"),
-    "recognise": ("filters.recognise", "recognise_rows"),
-    "links": ("filters.linked", "link_rows"),
-    "advice": ("filters.advised", "advice_rows"),
-    "push": ("filters.push", "push_rows"),
-}
-UNCELLED = ("push", "recognise", "links")  # of no chosen cells
+QUESTIONS = "works, whole, map, which, advice, push, samplers"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -73,41 +61,26 @@ def _scene(args: argparse.Namespace) -> int:
 
 
 def _evaluate(args: argparse.Namespace) -> int:
-    """Run an experiment; it writes JSON and pictures.
+    """Answer questions by simulated trials: tables, JSON and pictures.
 
     taxeld-train evaluate works --quick --out results
+    taxeld-train evaluate map --cells moved,robot --objects 025_mug --out results
     """
-    from taxeld_training.jobs.options import Options
+    from taxeld_training.trials import run
+    from taxeld_training.trials.questions import Asked, names
 
-    if args.cells and args.experiment in UNCELLED:
-        raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
-    given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
-    given["layouts"] = _layouts(args)
-    module, rows = EXPERIMENTS[args.experiment]
-    run = getattr(import_module(f"taxeld_training.{module}"), rows)
-    for path in run(Options(**given, until=time.monotonic() + 60.0 * args.minutes)):
-        print(path)
+    layouts = tuple(options.layouts(args.layout))
+    asked = Asked(args.quick, _seeds(args.seeds), args.objects, args.cells, layouts)
+    workers = run.Workers(args.workers, args.memory)
+    for line in run.answer(args.question or names(), asked, workers, args.out):
+        print(line, flush=True)
     return 0
-
-
-def _layouts(args: argparse.Namespace) -> tuple[str, ...]:
-    """Raises SetupError where a layout cannot be read, or the experiment has no room for it."""
-    from taxeld.layout import read as layouts
-
-    found = tuple(options.layouts(args.layout))
-    if args.experiment == "recognise" and len(found) > 1:
-        raise SetupError("--layout: recognise has room for one; run it for each")
-    if args.experiment == "push" and found != ("",):
-        raise SetupError("--layout: push is of the shipped bundles' own layout")
-    for spec in filter(None, found):
-        layouts.load(spec)
-    return found
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_line.parser(
         "taxeld-train",
-        "Make what the daemon needs of an object, and run the experiments.",
+        "Make what the daemon needs of an object, and answer questions by trials.",
         "taxeld-train scene bracket.stl --height-m 0.05",
         "taxeld-train build bracket.stl --height-m 0.05 --out bracket",
     )
@@ -174,23 +147,30 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(filter(None, text.split(",")))
 
 
+def _seeds(text: str) -> tuple[int, ...]:
+    """40: the first so many; 40-79: from the one to the other; empty: none. Raises SetupError."""
+    if not text:
+        return ()
+    if named := re.fullmatch(r"(?:(\d+)-)?(\d+)", text):
+        first, last = named.groups()
+        if found := tuple(range(int(first), int(last) + 1) if first else range(int(last))):
+            return found
+    raise SetupError(f"--seeds: must be a number of them, or FIRST-LAST, not '{text}'")
+
+
 def _add_options(one: argparse.ArgumentParser) -> None:
     add = one.add_argument
-    add("experiment", choices=tuple(EXPERIMENTS))
+    add("question", nargs="*", metavar="QUESTION", help=f"{QUESTIONS} (default: all)")
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     options.add_jobs(one)
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
-    about = "default: box and mug; of whole, works, recognise and advice the ten"
+    about = "trials of each cell, or from which seed to which (40-79)"
+    add("--seeds", default="", metavar="N", help=about)
+    about = "in place of the question's"
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
-    options.add_layouts(one, "rings of 5 rows")
-    about = "filters by their proposal (table, shipped, …), or guides of advice"
-    add("--groups", type=_names, default=(), metavar="A,B", help=about)
-    about = "conditions: factors (noise, skin, 'wrong object', …) or a level of one (moved=5)"
+    about = "cells, all that begin with a word (moved), methods, guides or motions: no others"
     add("--cells", type=_names, default=(), metavar="A,B", help=about)
-    add("--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training")
-    add("--seeds", type=int, default=0, metavar="N", help="trials a cell of a filter experiment")
-    add("--minutes", type=float, default=math.inf, help="begin nothing later; write what is done")
-    add("--seed", type=int, default=0)
+    options.add_layouts(one, "a ring of 5 rows")
 
 
 if __name__ == "__main__":

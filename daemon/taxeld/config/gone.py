@@ -7,7 +7,8 @@ emptied at the next minor version.
 
 ICUB = "an iCub's skin comes as an array (docs/array.md)"
 MEASURED = "'taxeld calibrate' measures it, and skin.calibration has its figure"
-WHOLE = "'evaluate whole' compares filters, 'evaluate stability' has them under each condition"
+WHOLE = "'evaluate whole' compares filters, 'evaluate map' has what ships under each condition"
+NAMED = "say it with --cells, which names cells, methods, guides and motions"
 SESSION = "'taxeld replay DIR' plays a session, and 'taxeld view DIR' shows it"
 
 GONE: dict[str, str] = {
@@ -19,9 +20,17 @@ GONE: dict[str, str] = {
     "taxeld-hil soak --frozen": "a soak's daemon learns, as every daemon does",
     "taxeld-train evaluate ablation": WHOLE,
     "taxeld-train evaluate filter": WHOLE,
-    "taxeld-train evaluate integrity": "'evaluate reliability' counts what misleads",
-    "taxeld-train evaluate proposals": "'taxeld-train build' measures a bundle's samplers",
-    "taxeld-train evaluate --columns": "a ring of 8 columns is --cells columns=8",
+    "taxeld-train evaluate integrity": "'evaluate map' counts what misleads",
+    "taxeld-train evaluate reliability": "'evaluate map' has what p promises, part by part",
+    "taxeld-train evaluate stability": "say 'evaluate map'",
+    "taxeld-train evaluate recognise": "say 'evaluate which'",
+    "taxeld-train evaluate links": "'taxeld-hil expect' takes a layout for each link",
+    "taxeld-train evaluate proposals": "say 'evaluate samplers'",
+    "taxeld-train evaluate --columns": "a ring of 8 columns is --cells 'columns 8'",
+    "taxeld-train evaluate --groups": NAMED,
+    "taxeld-train evaluate --effort": "questions.toml has the effort of each question",
+    "taxeld-train evaluate --minutes": "stop it when you like: the same command goes on",
+    "taxeld-train evaluate --seed": "say --seeds FIRST-LAST",
     "taxeld-hil calibration": "taxeld calibrate SESSION --check judges a skin's own touches",
     "scene.max_objects": "one object is estimated; a second one shows as `other` or `moved`",
     "--histogram": "lat_us of 'taxeld status' and /taxeld/health has median, 99 % and the longest",

@@ -10,18 +10,14 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from taxeld.arrays import Bools, Floats, Index
 from taxeld_hil.integrity import Claims
 from taxeld_training.filters.methods import TouchResult
-from taxeld_training.jobs.promises import calibration_error, reliability
-from taxeld_training.jobs.statistics import share
 
 UNKNOWN = -1  # `true` of a run whose object the filter does not know
 PARTED = 0.99  # probability of the touched object, were there but one other, that parts the two
 ALIKE = 0.5  # share of runs that leave two objects together, from which they are alike
-FIRST, SECOND, SETTLED = slice(0, 1), slice(1, 2), slice(5, None)  # touches whose cost is told
 
 
 @dataclass(frozen=True)
@@ -70,53 +66,6 @@ class Identities(Claims):
     def of_true(self) -> Floats:
         """(N, T) probability of the touched object, all of which must be known."""
         return np.asarray(np.take_along_axis(self.objects, self.true[:, None, None], 2)[..., 0])
-
-
-def after(given: Identities, contact: int) -> dict[str, Any]:
-    """Figures of runs with known objects after a contact, counted from 1."""
-    at = contact - 1
-    of_true = given.of_true[:, at]
-    return {
-        **share("right", given.right[:, at]),
-        **share("found", given.found[:, at]),
-        **share("found_and_sure", given.found_and_sure[:, at]),
-        **share("misleading", given.misleading[:, at]),
-        "p_true": round(float(of_true.mean()), 4),
-        "p_true_median": round(float(np.median(of_true)), 4),
-    }
-
-
-def told_apart(given: Identities, contact: int) -> float:
-    """Area under the curve (ROC) of `other` after a contact: how likely it is larger in a run with
-    an unknown object than in one with a known object."""
-    other = given.other[:, contact - 1]
-    known, unknown = other[given.known], other[~given.known]
-    larger = stats.mannwhitneyu(unknown, known).statistic
-    return round(float(larger) / (len(known) * len(unknown)), 4)
-
-
-def identity_error(given: Identities) -> float | None:
-    """The calibration error of the probability of the object of each estimate."""
-    return calibration_error(reliability(given.of_named.ravel(), given.right.ravel()))
-
-
-def cost(several_ms: Floats, one_ms: Floats) -> dict[str, float]:
-    """Processor time (N, T) of the touches of a filter of several objects, and of one that knows
-    the touched object alone: ratios of medians."""
-    parts = {"first": FIRST, "second": SECOND, "settled": SETTLED}
-    medians = {
-        name: (float(np.median(several_ms[:, part])), float(np.median(one_ms[:, part])))
-        for name, part in parts.items()
-    }
-    return {
-        key: value
-        for name, (several, one) in medians.items()
-        for key, value in {
-            f"{name}_ms": round(several, 2),
-            f"{name}_one_ms": round(one, 2),
-            f"{name}_ratio": round(several / one, 3),
-        }.items()
-    }
 
 
 def parting(given: Identities, names: Sequence[str]) -> list[dict[str, Any]]:

@@ -1,0 +1,106 @@
+"""Questions are answered by trials: small runs, which go on after one was cut short."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taxeld_training.cli import main
+from taxeld_training.trials import limit, play, questions, run, samplers
+from taxeld_training.trials.play import Case, Method, Subject
+from taxeld_training.trials.questions import Asked
+from taxeld_training.trials.run import Workers
+
+from .rig import RING, written_at
+
+pytestmark = pytest.mark.check
+
+
+def asked(place: Path, thing: Path | str, *more: str) -> dict[str, list[dict[str, Any]]]:
+    """What `evaluate` wrote of an object: rows of answers, and of touches, by question."""
+    where = ["--out", str(place / "out"), "--memory", str(place / "memory"), "--workers", "1"]
+    assert main(["evaluate", *more, "--quick", "--objects", str(thing), *where]) == 0
+    found = {}
+    for path in (place / "out").glob("*.json"):
+        found[path.stem] = json.loads(path.read_text("utf-8"))["rows"]
+        lines = (place / "memory" / f"{path.stem}.jsonl").read_text("utf-8").splitlines()
+        found[f"{path.stem} touches"] = [json.loads(line) for line in lines]
+    return found
+
+
+def test_an_answer_goes_on_where_it_was_cut_and_more_seeds_add_to_it(
+    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(run, "BLOCK", 2)
+    few = asked(tmp_path, block, "works", "advice", "--cells", "exact,random", "--seeds", "2")
+    assert "| block | " in capsys.readouterr().out
+    assert {key: len(rows) for key, rows in few.items()} == {
+        "works": 3,
+        "works touches": 16,
+        "advice": 3,
+        "advice touches": 16,
+    }
+    head = json.loads((tmp_path / "out" / "works.json").read_text("utf-8"))
+    assert {"question", "commit", "command", "date"} < head.keys()
+    before = written_at(tmp_path / "memory")
+    assert (
+        asked(tmp_path, block, "works", "--cells", "exact", "--seeds", "2")["works"] == few["works"]
+    )
+    jobs = {path: at for path, at in before.items() if path.suffix == ".json"}
+    assert len(jobs) == 1, "two questions share their trials"
+    more = asked(tmp_path, block, "works", "--cells", "exact", "--seeds", "4")
+    assert more["works touches"][:16] == few["works touches"]
+    assert jobs.items() <= written_at(tmp_path / "memory").items()
+
+
+def test_charts_stand_beside_the_rows(block: Path, tmp_path: Path) -> None:
+    rows = asked(tmp_path, block, "map", "--cells", "exact,another object", "--seeds", "1")["map"]
+    assert {row["of"].get("cell") for row in rows} >= {"exact", "another object"}
+    (wrong,) = (row for row in rows if row["of"] == {"cell": "another object"})
+    assert (wrong["trials"], wrong["found"]) == (10, [0] * 8)
+    for name in ("map", "calibration"):
+        assert 5_000 < (tmp_path / "out" / f"{name}.png").stat().st_size < 300_000
+
+
+def test_the_grid_meets_the_trials_of_what_ships_and_looks_once(block: Path) -> None:
+    case = Case((Subject(str(block)),), layouts=(RING,), touches=2)
+    ours, grid = play.play(case, 1), limit.play(replace(case, method=Method("grid")), 1)
+    assert len(ours) == len(grid) == 2
+    assert math.isnan(grid[0].error_mm)
+    assert math.isfinite(grid[1].error_mm)
+    assert grid[1].particles > 0
+    assert all(math.isnan(touch.p) for touch in grid), "it publishes no p"
+
+
+def test_samplers_are_trained_once_and_measured_by_the_exact_posterior(
+    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paper = samplers.LEARNED["paper"]
+    assert (paper.training.contacts, paper.frame, paper.view) == (10_000, "pose", "plain")
+    few = replace(paper, network=replace(paper.network, steps=2))  # 100 are slow to export
+    monkeypatch.setitem(samplers.LEARNED, "paper", few)
+    question = replace(
+        questions.load("samplers", Asked(quick=True, objects=(str(block),))),
+        columns=(8,),
+        proposals=("table", "paper"),
+        effort=0.001,
+    )
+    workers = Workers(1, tmp_path)
+    rows = samplers.rows(question, tmp_path, workers.run)
+    assert [row["of"]["proposal"] for row in rows] == ["table", "paper"]
+    assert rows[0]["distance"] < rows[1]["distance"]
+    before = written_at(tmp_path)
+    assert samplers.rows(question, tmp_path, workers.run) == rows
+    assert written_at(tmp_path) == before
+    next(tmp_path.glob("*.onnx")).unlink()  # a model that is lost is trained again
+    only = Asked(only=("as published",))
+    cells = [
+        replace(cell, case=replace(cell.case, layouts=(samplers.RING.format(8),), touches=1))
+        for cell in questions.cells(question, only)
+    ]
+    (played,) = run.run(question, cells, Asked(seeds=(3,)), workers)
+    assert math.isfinite(played.trials[0][0].error_mm)
+    assert len(list(tmp_path.glob("*.onnx"))) == 1

@@ -1,0 +1,123 @@
+"""The file of questions: which trials answer one, and what is refused."""
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from taxeld_training.cli import QUESTIONS, main
+from taxeld_training.trials import questions
+from taxeld_training.trials.questions import Asked, Cell
+from tests.rig.commands import refused
+
+BOX, MUG = questions.listed("two")
+OTHER = "cylinder:rows=2,columns=8,radius_m=0.05,pitch_m=0.015"
+
+
+ALL = Asked()
+
+
+def cells(name: str, asked: Asked = ALL) -> list[Cell]:
+    return questions.cells(questions.load(name, asked), asked)
+
+
+def test_every_question_can_be_asked_and_no_two_of_its_cells_are_the_same_trials() -> None:
+    assert ", ".join(questions.names()) == QUESTIONS
+    for name in questions.names():
+        question = questions.load(name, ALL)
+        counts = Counter(repr(cell.case) for cell in cells(name))
+        assert max(counts.values()) == 1
+        assert set().union(*question.by) <= {*cells(name)[0].labels}
+
+
+def test_two_questions_share_the_trials_that_they_have_in_common() -> None:
+    works = {repr(cell.case) for cell in cells("works")}
+    known = [cell for cell in cells("which") if cell.labels["knows"] == "one"]
+    guided = [cell for cell in cells("advice") if cell.labels["guide"] == "random"]
+    assert {repr(cell.case) for cell in (*known, *guided)} <= works
+
+
+def test_no_object_is_taken_for_itself_and_strangers_are_unknown() -> None:
+    for cell in (*cells("map"), *cells("which")):
+        known = cell.case.known
+        touched = cell.case.touched or known[0]
+        if cell.labels["knows"] == "one":
+            assert touched not in known or cell.labels["touched"] == "known"
+        else:
+            assert (touched in known) == (cell.labels["touched"] == "known")
+
+
+def test_what_the_filter_was_tuned_on_is_fixed() -> None:
+    """The other half tells what a user will meet."""
+    new = {str(c.labels["cell"]) for c in cells("map") if "not tuned" in c.labels["part"]}
+    assert {name.partition(",")[0].partition(" ")[0] for name in new} == {
+        "another",
+        "depth",
+        "object",
+        "pitch",
+        "radius",
+    }
+    assert all("not tuned" in c.labels["part"] for c in cells("map", Asked(objects=("016_pear",))))
+    wrong = [c for c in cells("map") if c.case.touched]
+    assert all("another object" in c.labels["part"] for c in wrong)
+    assert not any("soft skin" in c.labels["part"] for c in wrong)
+
+
+@pytest.mark.parametrize(
+    ("only", "found"),
+    [
+        (("moved", "poor"), {"poor", "moved 2 mm", "moved 5 mm", "moved 25 mm", "moved anywhere"}),
+        (("moved 5 mm",), {"moved 5 mm"}),
+        (("symmetric",), {"symmetric"}),
+    ],
+)
+def test_cells_are_named_whole_or_by_their_first_word(
+    only: tuple[str, ...], found: set[str]
+) -> None:
+    for quick in (False, True):  # what is named is run, quick or not
+        assert {c.labels["cell"] for c in cells("map", Asked(quick, only=only))} == found
+
+
+def test_methods_and_guides_are_chosen_beside_cells() -> None:
+    some = cells("whole", Asked(only=("density", "table 25")))
+    assert {c.labels["method"] for c in some} == {"density", "table 25"}
+    some = cells("advice", Asked(only=("advised", "typical")))
+    assert {(c.labels["guide"], c.labels["cell"]) for c in some} == {("advised", "typical")}
+
+
+def test_a_layout_has_a_cell_on_each_foam_and_stands_alone_unless_own_is_asked_for() -> None:
+    names = [f"{OTHER}, {foam}" for foam in ("exact", "typical", "poor")]
+    alone = cells("works", Asked(objects=(MUG,), layouts=(OTHER,)))
+    assert [c.labels["cell"] for c in alone] == names
+    assert all(c.case.layouts == (OTHER,) for c in alone)
+    both = cells("works", Asked(objects=(MUG,), layouts=("", OTHER)))
+    assert [c.labels["cell"] for c in both][-3:] == names
+    assert len(both) == 4 + 3
+
+
+def test_objects_of_ones_own_take_the_place_of_the_questions() -> None:
+    asked = Asked(objects=(BOX,))
+    assert {c.case.known[0].name for c in cells("map", asked)} == {BOX}  # no symmetric ones
+    assert {len(c.case.known) for c in cells("which", asked)} == {1}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        ("filter --seeds 5", "evaluate filter: is gone; 'evaluate whole' compares filters"),
+        ("stability", "evaluate stability: is gone; say 'evaluate map'"),
+        ("works --groups table", "evaluate --groups: is gone; say it with --cells"),
+        ("works --minutes 3", "evaluate --minutes: is gone; stop it when you like"),
+        ("magic", f"QUESTION: no 'magic'; there are {QUESTIONS}"),
+        ("works --objects 999_none", "999_none: no such YCB object"),
+        ("map --cells noise,sniff", "--cells: no 'sniff' here; there are exact, typical, poor, "),
+        ("push --cells noise", "no 'noise' here; there are exact, table, push, push, none"),
+        ("works --seeds 9-8", "--seeds: must be a number of them, or FIRST-LAST, not '9-8'"),
+        ("works --workers 0", "--workers must be at least 1"),
+    ],
+)
+def test_what_there_is_not_is_refused_in_one_line_that_says_what_there_is(
+    arguments: str, fault: str, tmp_path: Path
+) -> None:
+    place = ["--out", str(tmp_path), "--memory", str(tmp_path), "--quick"]
+    assert fault in refused("evaluate", *arguments.split(" "), *place, main=main)

@@ -1,0 +1,116 @@
+"""Tables, pages and charts, from the rows of answers."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taxeld.errors import SetupError
+from taxeld_training.trials import charts, questions, tables
+
+ROOT = Path(__file__).parents[2]
+
+
+def row(found: list[int], misleading: int = 0, **of: str) -> tables.Row:
+    more = {"median_mm": [4.04, 0.2], "q90_mm": [9.0, 1.0], "ece": 0.0345}
+    ci = {"found": [[0.1, 0.4], [0.839, 1.0]], "misleading": [0.0, 0.161], "ece": [0.01, 0.05]}
+    return (
+        {"of": of, "trials": 40, "found": found, "misleading": misleading, "sure": 30}
+        | more
+        | {"ci": ci}
+    )
+
+
+ROWS = [
+    row([10, 40], object="003_cracker_box", cell="exact"),
+    row([1, 39], object="003_cracker_box", cell="poor"),
+    row([0, 20], 2, object="025_mug", cell="exact"),
+    row([5, 30], 2, cell="exact"),
+]
+
+
+@pytest.mark.parametrize(
+    ("spec", "table"),
+    [
+        (
+            "cell=exact | object | mm 1 2 | found 2 | misleading | all",
+            """
+| object | mm after 1 | mm after 2 | found 2 | misleading |
+| --- | --- | --- | --- | --- |
+| cracker box | 4.0 (9) | 0.2 (1) | 100 % | 0 of 30 |
+| mug | 4.0 (9) | 0.2 (1) | 50 % | 2 of 30 |
+| all | 4.0 (9) | 0.2 (1) | 75 % | 2 of 30 |""",
+        ),
+        (
+            "object | found 1 2 by cell",
+            """
+| object | exact, found 1 2 | poor, found 1 2 |
+| --- | --- | --- |
+| cracker box | 25 / 100 % | 2 / 98 % |
+| mug | 0 / 50 % |  |""",
+        ),
+        (
+            "cell=poor | object | found± 2 | misleading± | ece± | absent",
+            """
+| object | found 2 | misleading | error of p | absent |
+| --- | --- | --- | --- | --- |
+| cracker box | 98 % (84 – 100 %) | 0 of 30 (0.0 – 16 %) | 0.0345 (0.01 – 0.05) |  |""",
+        ),
+    ],
+)
+def test_a_table_has_a_line_a_value_and_columns_of_figures_by_touch_or_label(
+    spec: str, table: str
+) -> None:
+    assert tables.text(ROWS, spec) == table.strip()
+
+
+def test_a_share_is_never_rounded_to_all_or_none() -> None:
+    shares = [tables.share(count, 1000) for count in (0, 1, 4, 996, 999, 1000)]
+    assert shares == ["0 %", "1 %", "1 %", "99 %", "99 %", "100 %"]
+
+
+def test_pages_hold_what_their_rows_say_or_are_filled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert tables.main([]) == 0, "a page of this tree and its rows disagree"
+    monkeypatch.setattr(tables, "DOCS", tmp_path)
+    tables.write(tmp_path / "results" / "mine.json", {"commit": "x"}, ROWS)
+    block = "<!-- figures: mine | cell=exact | object | found 2 -->\n{}<!-- end of figures -->\n"
+    page = tmp_path / "page.md"
+    page.write_text("a\n" + block.format("old\n") + "b\n" + block.format(""), encoding="utf-8")
+    assert tables.main([]) == 1
+    assert capsys.readouterr().err.endswith("page.md: not what its rows say; --write fills it\n")
+    assert tables.main(["--write"]) == tables.main([]) == 0
+    made = tables.text(ROWS, "cell=exact | object | found 2")
+    both = (block.format(f"{made}\n"), block.format(f"{made}\n"))
+    assert page.read_text("utf-8") == f"a\n{both[0]}b\n{both[1]}"
+
+
+def test_a_file_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("", encoding="ascii")
+    with pytest.raises(SetupError, match="--out: cannot write"):
+        tables.write(tmp_path / "out" / "x.json", {}, [])
+
+
+def figures(**of: str) -> tables.Row:
+    made: dict[str, Any] = {"ms": 10.0 + len(str(of)), "to_sure": 4.0, "trials": 40, "sure": 9}
+    made |= {"misleading": 1, "found_and_sure": [0, 30], "estimates": 80}
+    made |= {
+        "bins": [{"from": 0.1 * k, "n": 9, "mean_p": 0.1 * k, "right": 0.1 * k} for k in range(9)]
+    }
+    return {"of": of, **made, "ci": {"to_sure": [3.5, 4.5], "found_and_sure": [[0, 1], [0.6, 0.9]]}}
+
+
+@pytest.mark.parametrize("name", sorted(charts.CHARTS))
+def test_charts_are_small_and_drawn_again_with_the_same_bytes(name: str, tmp_path: Path) -> None:
+    methods, cells = (questions.table()[key] for key in ("methods", "cells"))
+    rows = [figures(cell="exact", method=each) for each in methods]
+    rows += [figures(cell="exact", method=each, object="025_mug") for each in methods]
+    rows += [figures(cell=each, object=name) for each in cells for name in ("025_mug", "016_pear")]
+    rows += [figures(part=each) for each in ("all", "tuned")]
+    for out in ("a.png", "b.png"):
+        charts.CHARTS[name](rows, tmp_path / out)
+    data = (tmp_path / "a.png").read_bytes()
+    assert data.startswith(b"\x89PNG\r\n\x1a\n")
+    assert 5_000 < len(data) < 300_000
+    assert data == (tmp_path / "b.png").read_bytes()

@@ -1,0 +1,154 @@
+"""Pictures of answers, from their rows; matplotlib is imported here alone.
+
+`front` says what a touch costs against how soon the object is found for sure, `where` in which
+conditions that fails, `calibration` whether p keeps its word. The same rows give the same bytes.
+"""
+
+from collections.abc import Callable, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from PIL import Image
+
+from taxeld_training.trials.tables import Row, word
+
+# Okabe and Ito's colours, for colour-blind readers, without their yellow, which is too pale
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", ">")
+DPI = 120
+SHIPS = "table"
+SIZED = "table "  # methods that differ in their particles alone
+SCENES = ("002_master_chef_can", "003_cracker_box", "025_mug", "035_power_drill")
+LINE_IN = 0.19  # height of a line of the map
+
+
+def front(rows: Sequence[Row], path: Path) -> None:
+    """Processor time of a touch against touches until an object is found for sure: all filters
+    over all objects, and what single objects need of filters of several sizes."""
+    every = [row for row in rows if row["of"].keys() == {"cell", "method"}]
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2), sharey=True)
+    for axes in (left, right):
+        _plain(axes)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.set_xlabel("processor time of a touch [ms]", fontsize=9)
+    left.set_ylabel("touches until found and sure", fontsize=9)
+    for row in every:
+        name = row["of"]["method"]
+        is_sized = name.startswith(SIZED)
+        low, high = row["ci"]["to_sure"]
+        x, y = row["ms"], row["to_sure"]
+        colour = COLOURS[0] if is_sized else COLOURS[1] if name == SHIPS else COLOURS[6]
+        left.plot([x, x], [low, high], color=colour, lw=0.8, alpha=0.6)
+        left.plot(x, y, "o", color=colour, ms=9 if name == SHIPS else 5)
+        label = f"{name.removeprefix(SIZED)}" if is_sized else name
+        label += " (ships)" * (name == SHIPS)
+        offset = {"xytext": (4, 4), "textcoords": "offset points"}
+        left.annotate(label, (x, y), fontsize=7, color=colour, **offset)
+    best: list[Row] = []
+    for row in sorted(every, key=lambda row: row["ms"]):
+        if not best or row["to_sure"] < best[-1]["to_sure"]:
+            best.append(row)
+    if best:
+        x, y = ([row[key] for row in best] for key in ("ms", "to_sure"))
+        last = max(row["ms"] for row in every)
+        left.step([*x, last], [*y, y[-1]], where="post", color="0.6", lw=0.9, zorder=0)
+    sized = [row for row in rows if row["of"].get("method", "").startswith(SIZED)]
+    for name, colour, marker in zip(SCENES, COLOURS, MARKERS, strict=False):
+        own = [row for row in sized if row["of"].get("object") == name]
+        _line(right, own, colour, word(name), marker)
+    _line(left, [row for row in sized if row in every], COLOURS[0], "")
+    if right.lines:
+        right.legend(fontsize=8, frameon=False)
+    right.set_title("table, by object", fontsize=9)
+    left.set_title("all objects", fontsize=9)
+    _save(figure, path)
+
+
+def _line(axes: Axes, rows: Sequence[Row], colour: str, label: str, marker: str = "") -> None:
+    """Rows joined in the order of their cost."""
+    points = sorted((row["ms"], row["to_sure"]) for row in rows)
+    if points:
+        x, y = zip(*points, strict=True)
+        axes.plot(x, y, color=colour, marker=marker, ms=4, lw=1.0, label=label)
+
+
+def where(rows: Sequence[Row], path: Path) -> None:
+    """A line for each condition: the shares of each object's trials that are found and sure at the
+    end, with their intervals, and how many sure estimates mislead."""
+    own = [row for row in rows if row["of"].keys() == {"object", "cell"}]
+    cells = list(dict.fromkeys(row["of"]["cell"] for row in own))
+    objects = list(dict.fromkeys(row["of"]["object"] for row in own))
+    size = 7.0, 1.2 + LINE_IN * len(cells)
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots()
+    _plain(axes)
+    axes.set(xlim=(-3, 103), ylim=(len(cells) - 0.4, -0.6))
+    axes.set_yticks(range(len(cells)), cells, fontsize=8)
+    axes.set_xlabel("found and sure after the last touch [% of trials]", fontsize=9)
+    for k, name in enumerate(objects[: len(COLOURS)]):
+        shift = 0.3 * ((k + 0.5) / len(objects) - 0.5)
+        for row in (row for row in own if row["of"]["object"] == name):
+            y = cells.index(row["of"]["cell"]) + shift
+            low, high = (100 * end for end in row["ci"]["found_and_sure"][-1])
+            x = 100 * row["found_and_sure"][-1] / row["trials"]
+            axes.plot([low, high], [y, y], color=COLOURS[k], lw=1.0, alpha=0.5)
+            axes.plot(x, y, MARKERS[k], color=COLOURS[k], ms=4.5)
+        axes.plot([], [], MARKERS[k], color=COLOURS[k], label=word(name))
+    for y, cell in enumerate(cells):
+        mine = [row for row in own if row["of"]["cell"] == cell]
+        wrong, sure = (sum(row[key] for row in mine) for key in ("misleading", "sure"))
+        weight = "bold" if wrong > 0.01 * sure else "normal"
+        axes.text(105, y, f"{wrong} of {sure}", va="center", fontsize=8, weight=weight)
+    axes.text(105, -1.0, "misleading", va="bottom", fontsize=8)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False)
+    _save(figure, path)
+
+
+def calibration(rows: Sequence[Row], path: Path) -> None:
+    """The share that is found over the mean p of each bin, a curve for each part of the trials."""
+    figure = Figure(figsize=(5.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    _plain(axes)
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", lw=0.8, ls=":")
+    parts = [row for row in rows if "part" in row["of"]]
+    for row, colour, marker in zip(parts, COLOURS, MARKERS, strict=False):
+        x, y = ([each[key] for each in row["bins"]] for key in ("mean_p", "right"))
+        label = f"{row['of']['part']} ({row['estimates']})"
+        axes.plot(x, y, label=label, color=colour, marker=marker, ms=4)
+    axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
+    axes.set_xlabel("p", fontsize=9)
+    axes.set_title("share of estimates that are found", fontsize=9)
+    axes.legend(fontsize=7, frameon=False)
+    _save(figure, path)
+
+
+CHARTS: dict[str, Callable[[Sequence[Row], Path], None]] = {
+    "front": front,
+    "map": where,
+    "calibration": calibration,
+}
+
+
+def _plain(axes: Axes) -> None:
+    """No box, a faint grid."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8)
+    axes.grid(color="0.92", lw=0.6)
+    axes.set_axisbelow(True)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Write a picture with a palette of 256 colours, as many faint lines would compress badly."""
+    written, meta = BytesIO(), dict[str, Any](Software=None)
+    figure.savefig(written, dpi=DPI, format="png", metadata=meta)
+    # Quantised by coverage, rare colours stay.
+    image = Image.open(written).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
+    image.save(path, format="png", optimize=True)

@@ -1,0 +1,146 @@
+"""How questions are answered: their trials as jobs, a row a touch, their figures and their files.
+
+The jobs run side by side, here or on a cluster, and are remembered: a run that is cut short goes
+on where it stopped, and one with more seeds adds to those that there are.
+"""
+
+import hashlib
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import date
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+from taxeld_hil import jobs
+from taxeld_hil.jobs import Job
+from taxeld_training.trials import limit, questions, samplers, score, tables
+from taxeld_training.trials.play import Case, Touch, play
+from taxeld_training.trials.questions import Asked, Cell, Question
+from taxeld_training.trials.score import Played
+
+BLOCK = 10  # seeds a job
+GRID_BLOCK = 2  # a trial of the grid takes seconds
+DECIDES = (  # code and bundles that decide the results of jobs
+    "taxeld/config/tables.py",
+    "taxeld/model/*.py",
+    "taxeld/skin/*.py",
+    "taxeld/proposals/*.py",
+    "taxeld/estimator/*.py",
+    "taxeld/advice/*.py",
+    "taxeld/pipeline/*.py",
+    "taxeld/bundles/*/bundle.json",  # each names the SHA-256 of all files beside it
+    "taxeld_hil/scenario/mesh_config.py",
+    "taxeld_hil/objects/*.py",
+    "taxeld_hil/world/*.py",
+    "taxeld_training/models/*.py",
+    "taxeld_training/limits/*.py",
+    "taxeld_training/trials/limit.py",
+    "taxeld_training/trials/samplers.py",
+)
+
+
+class Workers(NamedTuple):
+    """Where jobs run, and where they are remembered."""
+
+    workers: int | str  # of them, or the address of a Dask scheduler
+    memory: Path
+
+    def run(self, todo: Sequence[Job]) -> dict[str, Any]:
+        """Results by job name; torch has one thread in each job."""
+        torch.set_num_threads(1)  # here; workers have it from their environment
+        return jobs.run(todo, self.memory, workers=self.workers)
+
+
+def answer(names: Sequence[str], asked: Asked, workers: Workers, out: Path) -> Iterator[str]:
+    """Lines: the table of each question, and the files that are written.
+
+    Raises:
+        SetupError: there is no such question, object or cell, or a skin misses an object.
+    """
+    todo = [questions.load(name, asked) for name in names]
+    chosen = [questions.cells(question, asked) for question in todo]
+    for question, cells in zip(todo, chosen, strict=True):
+        played = run(question, cells, asked, workers)
+        rows = score.rows(played, question.by)
+        rows += samplers.rows(question, workers.memory, workers.run)
+        given = {"question": question.says, **_made(question.name)}
+        data = tables.write(out / f"{question.name}.json", given, rows)
+        yield f"{question.name}: {question.says}"
+        yield tables.text(rows, question.table)
+        yield str(data)
+        yield str(_records(played, workers.memory / f"{question.name}.jsonl"))
+        for name in question.charts:
+            from taxeld_training.trials import charts  # noqa: PLC0415  (needs matplotlib)
+
+            charts.CHARTS[name](rows, out / f"{name}.png")
+            yield str(out / f"{name}.png")
+
+
+def run(question: Question, cells: Sequence[Cell], asked: Asked, workers: Workers) -> list[Played]:
+    """The trials of cells. Each has its first block of seeds before any has its second."""
+    seeds = asked.seeds or tuple(range(question.seeds))
+    each = (one for cell in cells for one in samplers.wanted(cell.case))
+    files = samplers.files(each, question.effort, workers.memory, workers.run)
+    todo = [list[Job]() for _ in cells]
+    for cell, mine in zip(cells, todo, strict=True):
+        case = cell.case
+        size = GRID_BLOCK if case.method.proposal == questions.GRID else BLOCK
+        beside = tuple(files.get(one, "") for one in samplers.wanted(case))
+        digest = hashlib.sha256(repr(case).encode()).hexdigest()[:8]
+        for first in range(0, len(seeds), size):
+            block = seeds[first : first + size]
+            name = f"{cell.labels['object']} {case.method.proposal} {digest}-{block[0]}"
+            mine.append(Job(name, trials, (case, block), (beside,), jobs.code(DECIDES)))
+    in_turn = [job for block in zip_longest(*todo) for job in block if job]
+    done = workers.run(list({job.name: job for job in in_turn}.values()))
+    return [
+        Played.of(cell, seeds, [trial for job in mine for trial in done[job.name]])
+        for cell, mine in zip(cells, todo, strict=True)
+    ]
+
+
+def trials(case: Case, seeds: Sequence[int], files: Sequence[str]) -> list[list[list[Any]]]:
+    """A job: of each seed the fields of each touch; `files` have the samplers of known objects."""
+    known = [replace(one, sampler=file) for one, file in zip(case.known, files, strict=True)]
+    case = replace(case, known=tuple(known))
+    follow = limit.play if case.method.proposal == questions.GRID else play
+    return [[_rounded(touch) for touch in follow(case, seed)] for seed in seeds]
+
+
+def _rounded(touch: Touch) -> list[Any]:
+    """The fields of a touch as JSON has them, without nan."""
+    fields = [[*map(_short, v)] if isinstance(v, tuple) else _short(v) for v in touch]
+    return list(score.without_nan(fields))
+
+
+def _short(value: Any) -> Any:
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
+def _records(played: Sequence[Played], path: Path) -> Path:
+    """A line for each touch of each trial."""
+    part = path.with_suffix(".part")
+    with part.open("w", encoding="utf-8") as file:
+        for each in played:
+            for row in each.records():
+                file.write(json.dumps(row) + "\n")
+    part.replace(path)
+    return path
+
+
+def _made(name: str) -> dict[str, str]:
+    """The commit, the command and the date of a file."""
+    words = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    asked = subprocess.run(words, capture_output=True, text=True, check=False)  # noqa: S603
+    command = " ".join(["taxeld-train", *sys.argv[1:]])
+    return {
+        "commit": asked.stdout.strip() or "unknown",
+        "command": command if name in command else f"taxeld-train evaluate {name}",
+        "date": date.today().isoformat(),
+    }

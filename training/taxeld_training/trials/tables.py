@@ -1,0 +1,191 @@
+"""Rows of answers as files and as tables, and the pages that show them.
+
+    python -m taxeld_training.trials.tables           fails where a page and its rows disagree
+    python -m taxeld_training.trials.tables --write   writes the pages' tables anew
+
+A block of a page stands between `<!-- figures: NAME | SPEC -->` and `<!-- end of figures -->`;
+`docs/results/NAME.json` has its rows, and `text` says what SPEC is.
+"""
+
+import json
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from taxeld.errors import SetupError
+
+Row: TypeAlias = dict[str, Any]
+
+ALL = "all"
+SHARES = "found", "found_and_sure", "right"  # counts of trials after each touch
+HEADS = {
+    "found_and_sure": "found and sure",
+    "mm": "mm after",
+    "path_mm": "mm (10 – 90 %)",
+    "misleading_at": "misleading after",
+    "ece": "error of p",
+    "to_sure": "touches to sure",
+}
+DOCS = Path(__file__).parents[3] / "docs"
+BLOCK = re.compile(
+    r"(<!-- figures: (\w+) \| ([^\n]*) -->\n)(.*?)(<!-- end of figures -->)", re.DOTALL
+)
+
+
+def write(path: Path, about: Mapping[str, str], rows: Sequence[Row]) -> Path:
+    """Rows as a JSON file, a row a line so that a diff can be read. Raises SetupError."""
+    head = ",\n".join(f"{json.dumps(k)}: {json.dumps(v)}" for k, v in about.items())
+    lines = ",\n".join(json.dumps(row) for row in rows)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f'{{{head},\n"rows": [\n{lines}\n]}}\n', encoding="utf-8")
+    except OSError as error:
+        raise SetupError(f"--out: cannot write {path} ({error.strerror})") from None
+    return path
+
+
+def read(path: Path) -> list[Row]:
+    """The rows of such a file."""
+    return list(json.loads(path.read_text(encoding="utf-8"))["rows"])
+
+
+def text(rows: Sequence[Row], spec: str) -> str:
+    """A table in Markdown, by `LABEL=VALUE, … | LABEL | FIGURE TOUCH … [by LABEL] | … | all`.
+
+    First stands what all its rows have in common, if anything, then what a line is of, then the
+    columns: a figure after some touches, or of all. `by` a label makes a column of each of the
+    label's values. `all` ends the table with a line without the label of the lines.
+    """
+    parts = [part.strip() for part in spec.split("|")]
+    fixed = dict(each.split("=") for each in parts.pop(0).split(", ")) if "=" in parts[0] else {}
+    line, *words = parts
+    of = {_key(row["of"]): row for row in rows}
+    columns = [column for each in words if each != ALL for column in _columns(each, rows)]
+    lines = {value: fixed | {line: value} for value in _values(rows, line)}
+    if ALL in words:
+        lines[ALL] = fixed
+    made = [
+        [word(name), *(column.cell(of.get(_key(labels | column.labels))) for column in columns)]
+        for name, labels in lines.items()
+    ]
+    table = [[line, *(each.head for each in columns)], ["---"] * (1 + len(columns))]
+    table += [each for each in made if any(each[1:])]
+    return "\n".join(f"| {' | '.join(each)} |" for each in table)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table."""
+
+    figure: str
+    touches: tuple[int, ...]  # after which; none: of all
+    labels: dict[str, str]  # beside those of the line
+
+    @property
+    def head(self) -> str:
+        own = self.figure.removesuffix("±")
+        said = " ".join([HEADS.get(own, own), *map(str, self.touches)])
+        return ", ".join([*self.labels.values(), said])
+
+    def cell(self, row: Row | None) -> str:
+        if row is None:
+            return ""
+        if self.touches:
+            each = [self._after(row, n) for n in self.touches]
+            return " / ".join([*(said.removesuffix(" %") for said in each[:-1]), each[-1]])
+        own = self.figure.removesuffix("±")
+        if own == "misleading":
+            sure = f" of {row['sure']}" if "sure" in row else ""  # rows of older commits have none
+            return f"{row[own]}{sure}{self._interval(row, own)}"
+        value = row.get(own)
+        if value is None:
+            return ""
+        if own == "path_mm":
+            return f"{value[1]:.1f} ({value[0]:.1f} – {value[2]:.1f})"
+        said = f"{value:.3g}" if isinstance(value, float) else str(value)
+        return said + self._interval(row, own)
+
+    def _after(self, row: Row, n: int) -> str:
+        own = self.figure.removesuffix("±")
+        if own == "mm":
+            return f"{row['median_mm'][n - 1]:.1f} ({row['q90_mm'][n - 1]:.0f})"
+        value = row[own][n - 1] if own in row else None
+        if value is None:
+            return ""
+        if own in SHARES:
+            return share(value, row["trials"]) + self._interval(row, own, n)
+        return f"{value:.3g}"
+
+    def _interval(self, row: Row, own: str, n: int = 0) -> str:
+        ends = row.get("ci", {}).get(own) if self.figure.endswith("±") else None
+        if ends is None:
+            return ""
+        low, high = ends[n - 1] if n else ends
+        if own in (*SHARES, "misleading"):
+            low, high = 100 * low, 100 * high
+            return f" ({low:.{0 if low >= 1.0 else 1}f} – {high:.{0 if high >= 1.0 else 1}f} %)"
+        return f" ({low:.3g} – {high:.3g})"
+
+
+def _columns(words: str, rows: Sequence[Row]) -> list[Column]:
+    """The columns of a part of a spec."""
+    words, _, pivot = words.partition(" by ")
+    name, *numbers = words.split()
+    touches = tuple(map(int, numbers))
+    if pivot:
+        return [Column(name, touches, {pivot: value}) for value in _values(rows, pivot)]
+    return [Column(name, (n,), {}) for n in touches] or [Column(name, (), {})]
+
+
+def _values(rows: Sequence[Row], label: str) -> list[str]:
+    return list(dict.fromkeys(row["of"][label] for row in rows if label in row["of"]))
+
+
+def _key(labels: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    return tuple(sorted(labels.items()))
+
+
+def share(count: int, of: int) -> str:
+    """35 of 40 → 88 %, which is never rounded to all or none."""
+    rounded = round(100 * count / of)
+    if 0 < count < of:
+        rounded = min(max(rounded, 1), 99)
+    return f"{rounded} %"
+
+
+def word(name: str) -> str:
+    """003_cracker_box → cracker box."""
+    return re.sub(r"^\d+(-\w)?_", "", name).replace("_", " ")
+
+
+def filled(page: str) -> str:
+    """A page with its blocks as the rows have them."""
+
+    def made(block: re.Match[str]) -> str:
+        head, name, spec, _, end = block.groups()
+        return f"{head}{text(read(DOCS / 'results' / f'{name}.json'), spec)}\n{end}"
+
+    return BLOCK.sub(made, page)
+
+
+def main(arguments: list[str]) -> int:
+    """0: all pages are as their rows have it, or are now."""
+    stale = 0
+    for page in sorted(DOCS.rglob("*.md")):
+        given = page.read_text(encoding="utf-8")
+        if (now := filled(given)) == given:
+            continue
+        if arguments == ["--write"]:
+            page.write_text(now, encoding="utf-8")
+        else:
+            stale += 1
+            name = page.relative_to(DOCS.parent)
+            sys.stderr.write(f"{name}: not what its rows say; --write fills it\n")
+    return int(stale > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
