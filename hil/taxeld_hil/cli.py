@@ -40,14 +40,12 @@ def _run(args: argparse.Namespace) -> int:
     taxeld-hil run everything --clock fake --foam poor
     taxeld-hil run demo --target can:can0 --poses tcp://127.0.0.1:9874 --truth 0.4 0.1 0
     """
-    import numpy as np
-
-    from taxeld_hil.grade import report
-    from taxeld_hil.run import hardware
+    from taxeld_hil.grade import grade
+    from taxeld_hil.run import live
     from taxeld_hil.run.fake_run import FakeRun
-    from taxeld_hil.run.live import LiveRun
 
-    if args.png and args.target != "sim":
+    is_simulated = args.target == "sim"
+    if args.png and not is_simulated:
         raise SetupError("--png: a run on hardware records no session to show")
     if args.png:
         from taxeld_hil.run import picture
@@ -55,28 +53,26 @@ def _run(args: argparse.Namespace) -> int:
     scenario = _scenario(args).over(transport)
     if args.advised:
         scenario = replace(scenario, advised=True)
-    if scenario.advised and args.target != "sim":
+    if scenario.advised and not is_simulated:
         raise SetupError("--advised: on hardware the robot is yours; taxeld advise tells it where")
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
+    run: live.LiveRun | FakeRun
+    if not is_simulated:
+        run = live.HardwareRun(scenario, args.target, args.poses, args.truth, _say)
+    elif args.clock == "fake":
+        run = FakeRun(scenario, args.seed)
+    else:
+        run = live.SimulatedRun(scenario, args.seed, channel or VCAN, _say)
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
-    with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
-        if args.target != "sim":
-            truth = None if args.truth is None else np.array(args.truth)
-            site = hardware.Site(args.target, args.poses, truth, args.limit_s)
-            grade = hardware.graded(name, scenario, site, out, Path(place), _say)
-        elif args.clock == "fake":
-            grade = FakeRun(scenario, args.seed).graded(name, out)
-        else:
-            run = LiveRun(name, scenario, args.seed, out, channel or VCAN, _say)
-            grade = run.graded(Path(place))
-    report.write(grade, out)
-    _say("\n".join(report.lines(grade)))
+    with run:
+        graded = run.graded(name, out)
+    _say("\n".join(grade.lines(graded)))
     if args.png:
         picture.draw(out, args.png)
-    if args.target == "sim":
+    if is_simulated:
         _say_next(scenario, out)
-    return 0 if grade.passed else 1
+    return 0 if graded.passed else 1
 
 
 def _say_next(scenario: "Scenario", out: Path) -> None:
@@ -118,7 +114,7 @@ def _emulate(args: argparse.Namespace) -> int:
 
     taxeld-hil emulate demo --link /tmp/skin --poses tcp://127.0.0.1:9874 --out emulated
     """
-    from taxeld_hil.run.emulate import emulate
+    from taxeld_hil.run.live import emulate
 
     fault = endpoints.fault(args.poses, has_keys=True)
     if fault:
@@ -171,8 +167,6 @@ def _of_run(made: argparse.ArgumentParser) -> None:
     add("--poses", default="", help="on hardware: the robot's endpoint")
     about = "on hardware: where the object is in the robot's world [m, m, rad]"
     add("--truth", type=float, nargs=3, metavar=("X", "Y", "THETA"), help=about)
-    about = "on hardware: end the run after so many seconds"
-    add("--limit-s", type=float, default=600.0, help=about)
     add("--clock", choices=("real", "fake"), default="real")
     about = "in place of the scenario's: slcan, native or can:INTERFACE"
     add("--transport", default="", help=about)

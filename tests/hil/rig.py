@@ -16,6 +16,7 @@ from taxeld.model.response import response
 from taxeld.proposals import bundle
 from taxeld_hil.calibration.fit import depths
 from taxeld_hil.calibration.presses import Presses
+from taxeld_hil.grade.grade import Grade
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
@@ -36,7 +37,9 @@ PERIOD_S, BASE = 0.05, 10_000
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # turns between stretches of skin: even at any count
 
 
-def passing(subject: Scenario, place: Path | None = None, luck: tuple[str, ...] = ()) -> FakeRun:
+def passing(
+    subject: Scenario, place: Path | None = None, luck: tuple[str, ...] = ()
+) -> tuple[FakeRun, Grade]:
     """A run on the fake clock that passes, but for checks left to `luck`; its session in `place`.
 
     Chance decides which frames a fault hits and what few touches tell: where the first run fails,
@@ -53,7 +56,7 @@ def passing(subject: Scenario, place: Path | None = None, luck: tuple[str, ...] 
         if not all(each.startswith(luck) for each in failed):
             failures.append(failed)
         elif not failures or seed == len(failures) + 2:
-            return run
+            return run, grade
         assert len(failures) < 3, failures
     raise AssertionError
 

@@ -11,11 +11,9 @@ from taxeld.arrays import Floats
 from taxeld.model import contacts, se2
 from taxeld_hil import cli
 from taxeld_hil.rig.rig import IDLE_S, Rig
-from taxeld_hil.run.contact_table import ContactTable
 from taxeld_hil.world import robot
 from taxeld_hil.world.advised import AdvisedRobot
 from tests.rig.commands import refused
-from tests.rig.stream_page import documented
 
 from .rig import DEMO, MODEL, SKIN, TRUTH, passing
 
@@ -83,7 +81,7 @@ def test_it_follows_no_advice_from_before_the_end_of_its_last_touch() -> None:
 
 @pytest.mark.check
 def test_few_touches_find_the_object(tmp_path: Path) -> None:
-    run = passing(ADVISED, tmp_path)
+    run, _ = passing(ADVISED, tmp_path)
     assert len(run.rig.path.touched) <= ADVISED.contacts
 
 
@@ -97,11 +95,3 @@ def test_on_hardware_the_robot_is_not_ours(tmp_path: Path) -> None:
     given = ("--can", "vcan0", "--poses", "ipc:///x", "--out", tmp_path / "out")
     said = refused("emulate", scenario, *given, main=cli.main)
     assert said == f"{scenario}: this robot hears no advice: taxeld-hil run has one\n"
-
-
-def test_it_is_said_after_how_many_contacts_the_daemon_was_sure_to_the_end() -> None:
-    table, (_, example) = ContactTable(MODEL.scene, TRUTH), documented("/taxeld/estimate")
-    assert table.sure() == "not sure"
-    for number, status in ((1, 2), (2, 3), (3, 6), (4, 3), (5, 3)):
-        table.on_estimate(example | {"contacts": number, "status": status})
-    assert table.sure() == "sure after 4 contacts"

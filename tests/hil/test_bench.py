@@ -1,6 +1,7 @@
 """The emulated robot: its poses go on as long as anybody listens to them."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 import zmq
 
 from taxeld.stream.topics import SENSOR_POSE
-from taxeld_hil.rig.bench import Bench, recorded
+from taxeld_hil.rig.bench import Bench
 from taxeld_hil.rig.ports import ArrayPort
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario import scenario
@@ -29,8 +30,7 @@ def sockets() -> Iterator[Sockets]:
 def bench(sockets: Sockets, tmp_path: Path) -> Iterator[Bench]:
     poses = sockets.open(zmq.XPUB)
     poses.bind(POSES)
-    rig = Rig(scenario.load("demo"), 0)
-    with recorded(rig, tmp_path / "skin", poses, tmp_path / "session") as made:
+    with closing(Bench(Rig(scenario.load("demo"), 0), tmp_path / "skin", poses)) as made:
         yield made
 
 

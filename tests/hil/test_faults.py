@@ -7,27 +7,32 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
 
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
+from taxeld.stream import topics
 from taxeld_hil import cli
 from taxeld_hil.experiment import soak
-from taxeld_hil.grade import flags, report
-from taxeld_hil.grade.grade import Run, grade
-from taxeld_hil.grade.judge import Judge, Sample
+from taxeld_hil.grade import flags
+from taxeld_hil.grade.grade import Grade, grade, lines
 from taxeld_hil.grade.reconcile import laws
+from taxeld_hil.grade.session import PublishedFile, Run, read, read_run
 from taxeld_hil.rig.faults import Injector
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.session_run import write_truth
 from taxeld_hil.scenario import laps, scenario
-from taxeld_hil.scenario.scenario import Fault
+from taxeld_hil.scenario.scenario import Fault, Scenario
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.frames import Frame
+from tests.hil.rig import TRUTH
+from tests.rig.stream_page import documented
 
 pytestmark = pytest.mark.check
 
@@ -132,33 +137,44 @@ def test_a_frame_that_is_lost_without_the_ledger_breaks_a_law() -> None:
     assert not result.passed
 
 
-def test_a_counter_of_the_daemon_that_is_off_by_one_breaks_a_law() -> None:
-    run = FakeRun(replace(DEMO, contacts=2), seed=0)
-    run.run()
-    health = run.judge.health
-    assert health is not None
+def test_a_counter_of_the_daemon_that_is_off_by_one_breaks_a_law(tmp_path: Path) -> None:
+    FakeRun(replace(DEMO, contacts=2), seed=0).graded("demo", tmp_path)
+    ledger, (_, health) = read_run(tmp_path).ledger, read(tmp_path, 1).health[-1]
+    assert ledger is not None
+    assert all(law.holds for law in laws(ledger, health, line=False))
     for part, name in (("source", "crc_errors"), ("skin", "learning"), ("inputs", "poses")):
         worse = {**health, part: {**health[part], name: health[part][name] + 1}}
-        held = laws(run.rig.ledger, worse, line=False)
+        held = laws(ledger, worse, line=False)
         assert any(not law.holds for law in held), name
 
 
-def judged(fault: Fault, estimates: list[tuple[float, Status, float]]) -> Judge:
-    """A judge that has seen estimates (t, status, error in m) of a run with one fault."""
-    subject = scenario.Scenario(bundle="box", fault=(fault,))
-    run = FakeRun(subject, 0)
-    truth = run.rig.world.truth
-    judge = Judge(subject, run.rig.model.scene, truth, (), lambda _: [])
-    for t, status, off_m in estimates:
-        at = truth + np.array([off_m, 0.0, 0.0])
-        why = Why.NO_SCAN if status is Status.STALE else Why.VALID
-        p = 0.98 if status is Status.AMBIGUOUS else 0.99
-        judge.on_estimate(Sample(t, status, why, 1, at, p, 0.005, t, 0.0))
-    judge.end(estimates[-1][0] if estimates else 0.0)
-    return judge
+def judged(
+    place: Path,
+    estimates: list[tuple[float, Status, float]],
+    *faults: Fault,
+    of: Scenario = DEMO,
+    **more: object,
+) -> Grade:
+    """The grade of a session of estimates (t, status, error in m) beside faults; `more` is the same
+    in all estimates."""
+    (_, example), end_s = documented("/taxeld/estimate"), estimates[-1][0]
+    with PublishedFile(place) as file:
+        for t, status, off_m in estimates:
+            said = {
+                "status": status,
+                "why": Why.NO_SCAN if status is Status.STALE else Why.VALID,
+                "p": 0.98 if status is Status.AMBIGUOUS else 0.99,
+                "radius_m": 0.005,
+                "map": {"x": TRUTH[0] + off_m, "y": TRUTH[1], "theta": TRUTH[2]},
+                "object": 0,
+            }
+            file.add(t, topics.ESTIMATE, msgpack.packb(example | said | more))
+    write_truth(place, TRUTH)
+    Run("x", 0, "sim", "fake", replace(of, fault=faults), end_s, [()] * len(faults)).write(place)
+    return grade(place)
 
 
-def test_what_misleads_a_late_flag_and_a_slow_recovery_are_found() -> None:
+def test_what_misleads_a_late_flag_and_a_slow_recovery_are_found(tmp_path: Path) -> None:
     fault = Fault("unplugged", at_s=1.0, for_s=1.0)
     good, stale = (Status.CONVERGED, 0.0), (Status.STALE, 0.0)
     times = np.arange(0.0, 6.0, 0.01).tolist()
@@ -167,33 +183,33 @@ def test_what_misleads_a_late_flag_and_a_slow_recovery_are_found() -> None:
         (t, *((Status.CONVERGED, 0.05) if t > 5.5 else stale if 1.9 < t < 4.5 else good))
         for t in times
     ]
-    names = []
-    for estimates in (fine, worse):
-        judge = judged(fault, estimates)
-        checks = grade(Run("x", 0, "sim", "fake", "slcan"), judge, [], None).checks
-        names.append([check.name for check in checks if check.passed is False])
-    assert names[0] == []
-    assert names[1] == [
+    assert judged(tmp_path, fine, fault).failed == []
+    graded = judged(tmp_path, worse, fault)
+    assert graded.failed == [
         "accuracy",
         "nothing misleading",
         "unplugged at 1 s: flag",
         "unplugged at 1 s: recovery",
     ]
-    assert judge.tally.misleading_episodes == 1
+    assert graded.figures["misleading"]["episodes"] == 1
 
 
-def test_valid_estimates_that_are_sure_and_beyond_their_radius_mislead() -> None:
+def test_valid_estimates_that_are_sure_and_beyond_their_radius_mislead(tmp_path: Path) -> None:
     sure, doubted, stale = Status.CONVERGED, Status.AMBIGUOUS, Status.STALE
     said = [(sure, 0.004), (sure, 0.006), (doubted, 0.006), (stale, 0.006), (sure, 0.004)]
-    judge = judged(
-        Fault("unplugged", 1.0),
-        [(0.1 * k, status, off_m) for k, (status, off_m) in enumerate(said)],
-    )
-    graded = grade(Run("x", 0, "sim", "fake", "slcan"), judge, [], None)
+    graded = judged(tmp_path, [(0.1 * k, *each) for k, each in enumerate(said)])
     assert (graded.figures["sure"], graded.figures["misleading"]["estimates"]) == (3, 1)
     assert graded.figures["misleading"]["at_s"] == [0.1]
-    (line,) = (line for line in report.lines(graded) if "nothing misleading" in line)
+    (line,) = (line for line in lines(graded) if "nothing misleading" in line)
     assert line.endswith("1 of 3 sure estimates, 6.0 mm off at worst")
+
+
+def test_a_session_whose_run_did_not_end_is_refused_with_its_file(tmp_path: Path) -> None:
+    judged(tmp_path, [(0.0, Status.CONVERGED, 0.0)])
+    for name, content in (("published.msgpack", b"\xc1"), ("run.json", b"{"), ("run.json", None)):
+        (tmp_path / name).write_bytes(content) if content else (tmp_path / name).unlink()
+        with pytest.raises(SetupError, match=f"^{tmp_path / name}: "):
+            grade(tmp_path)
 
 
 def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does_not() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import SensorPoseConfig
+from taxeld.model.symmetry import add_m
 from taxeld.pipeline.poses import EXTRAPOLATE_S
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
@@ -43,7 +44,8 @@ def run(extrapolate_s: float) -> tuple[float, float, int]:
     ran.daemon.pose = pose  # type: ignore[method-assign]
     track.at = placing  # type: ignore[method-assign]
     ran.run()
-    error_mm = ran.judge.error_mm(pipeline.estimate.map)
+    rig = ran.rig
+    error_mm = 1e3 * add_m(rig.model.scene, pipeline.estimate.map, rig.world.truth)[1]
     t, x, y, _ = np.array(told).T
     when = [at_s for at_s, _ in placed]
     where = np.array([sensor[:2] for _, sensor in placed])

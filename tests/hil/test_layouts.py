@@ -62,6 +62,5 @@ def test_a_skin_on_one_side_of_its_link_is_turned_to_the_object(about_rad: float
 def test_a_box_is_found_on_real_layouts_by_touches_that_are_all_felt(path: Path) -> None:
     if not path.is_file():
         pytest.skip("the real layouts are not beside this checkout")
-    last = passing(DEMO.on("scene", str(path))).judge.last
-    assert last is not None
-    assert last.contacts == DEMO.contacts
+    _, graded = passing(DEMO.on("scene", str(path)))
+    assert graded.figures["contacts"] == DEMO.contacts

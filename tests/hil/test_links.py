@@ -11,12 +11,12 @@ from taxeld.commands.replay import Replay
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
-from taxeld_hil.grade.judge import Sample
+from taxeld_hil.grade.session import read
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort
 from taxeld_hil.rig.rig import Rig, rigs_of
 from taxeld_hil.run.fake_run import FakeRun
-from taxeld_hil.run.live import LiveRun
+from taxeld_hil.run.live import SimulatedRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault
 from taxeld_protocol import array
@@ -37,15 +37,14 @@ PATCHES = [
 def test_a_session_of_two_links_replays_to_the_object_that_both_have_touched(
     one_bus: bool, tmp_path: Path
 ) -> None:
-    run = passing(replace(LINKS, one_bus=one_bus), tmp_path)
+    run, _ = passing(replace(LINKS, one_bus=one_bus), tmp_path)
     assert run.daemon is not None
     assert len(run.daemon.sources) == 2 - one_bus
     found = list(Replay(tmp_path))
     pressed = {o.link for o in found if o.activation is not None and o.activation.z.max() > 0.1}
     assert pressed == {0, 1}
     assert found[-1].estimate.status is Status.CONVERGED
-    assert run.judge.last is not None
-    np.testing.assert_allclose(found[-1].estimate.map, run.judge.last.map, atol=0.01)
+    np.testing.assert_allclose(found[-1].estimate.map, read(tmp_path, 2).pose[-1], atol=0.01)
     assert found[-1].estimate.contacts == LINKS.contacts
 
 
@@ -55,21 +54,17 @@ def test_two_patches_of_an_arm_find_the_object() -> None:
 
 
 @pytest.mark.smoke
-def test_while_one_link_is_silent_the_other_finds_the_object() -> None:
+def test_while_one_link_is_silent_the_other_finds_the_object(tmp_path: Path) -> None:
     run = FakeRun(scenario.load("link_silent"), seed=1, rate_hz=40.0)
-    samples = list[Sample]()
-    judged = run.judge.on_estimate
-    run.judge.on_estimate = lambda s: (samples.append(s), judged(s))[1]  # type: ignore[method-assign]
-    run.run()
-    (fault,) = run.scenario.fault
-    gone = [s for s in samples if fault.at_s + 1.0 < s.t < fault.end_s]
-    assert {s.links for s in gone} == {(Why.VALID, Why.NO_SCAN)}
-    assert gone[-1].contacts > gone[0].contacts
-    assert {s.why for s in gone} <= {Why.VALID, Why.INCONSISTENT}
-    (seen,) = run.judge.seen
-    assert seen.detected_s is not None
-    assert seen.recovered_s is not None
-    assert samples[-1].links == (Why.VALID, Why.VALID)
+    (seen,) = run.graded("link_silent", tmp_path).figures["faults"]
+    assert seen["detected_s"] is not None
+    assert seen["recovered_s"] is not None
+    got, (fault,) = read(tmp_path, 2), run.scenario.fault
+    gone = (fault.at_s + 1.0 < got.t) & (got.t < fault.end_s)
+    assert (got.lost[gone] == [False, True]).all()
+    assert np.ptp(got.contacts[gone]) > 0
+    assert {*got.why[gone]} <= {Why.VALID, Why.INCONSISTENT}
+    assert not got.lost[-1].any()
 
 
 def test_links_touch_one_after_the_other_as_each_would_alone() -> None:
@@ -111,9 +106,9 @@ def test_several_layouts_are_links_and_one_is_the_only_skin() -> None:
     assert LINKS.on("", "").layouts == LINKS.layouts
 
 
-def test_several_links_in_real_time_are_refused(tmp_path: Path) -> None:
+def test_several_links_in_real_time_are_refused() -> None:
     with pytest.raises(SetupError, match="several links run on the fake clock alone: --clock fake"):
-        LiveRun("links", LINKS, 0, tmp_path, "", lambda _: None)
+        SimulatedRun(LINKS, 0)
 
 
 def test_a_subscription_begins_and_ends_the_arrays_of_a_skin(tmp_path: Path) -> None:

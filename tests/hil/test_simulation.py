@@ -8,6 +8,7 @@ import pytest
 
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
+from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
@@ -30,7 +31,8 @@ def errors_mm(run: FakeRun) -> list[float]:
     for k in range(round(100 * run.duration_s)):
         e = run.step(k / 100)
         if e is not None:
-            found += [run.judge.error_mm(e.map)] * (was and not e.contact)
+            error_m = add_m(MODEL.scene, e.map, run.rig.world.truth)[1]
+            found += [1e3 * error_m] * (was and not e.contact)
             was = e.contact
     return found
 

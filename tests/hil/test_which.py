@@ -7,23 +7,20 @@ import pytest
 
 from taxeld.commands.replay import Replay
 from taxeld.estimator.estimate import Status
-from taxeld.pipeline.freshness import Why
 from taxeld.proposals import bundle
-from taxeld_hil.grade.grade import Run, grade
-from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 
-from .rig import MODEL, PLACED, passing
+from .rig import passing
+from .test_faults import judged
 
 WHICH, RATE_HZ = scenario.load("which"), 40.0
 
 
 @pytest.mark.parametrize("thing", WHICH.bundles)
 def test_each_of_three_objects_is_told_from_the_others(thing: str) -> None:
-    run = passing(replace(WHICH.touching(thing), contacts=12))
-    assert run.judge.last is not None
-    assert WHICH.bundles[run.judge.last.object] == thing
+    _, graded = passing(replace(WHICH.touching(thing), contacts=12))
+    assert [c.detail for c in graded.checks if c.name == "which object"] == [thing]
 
 
 def test_a_session_replays_to_the_object_that_was_found(tmp_path: Path) -> None:
@@ -36,24 +33,14 @@ def test_a_session_replays_to_the_object_that_was_found(tmp_path: Path) -> None:
     assert estimate.status is Status.CONVERGED
 
 
-def judged(number: int) -> Judge:
-    """A judge who has seen a sure estimate in the right place, of the object of this number."""
-    judge = Judge(WHICH, MODEL.scene, PLACED, (), lambda _: [])
-    judge.on_estimate(
-        Sample(1.0, Status.CONVERGED, Why.VALID, 4, PLACED, 0.999, 0.01, 1.0, 0.0, object=number)
-    )
-    return judge
-
-
-def test_an_estimate_of_a_wrong_object_is_misleading_wherever_it_is() -> None:
+def test_an_estimate_of_a_wrong_object_is_misleading_wherever_it_is(tmp_path: Path) -> None:
     right, wrong = (
-        grade(Run("which", 0, "sim", "fake", "slcan"), judged(number), [], None)
+        judged(tmp_path, [(1.0, Status.CONVERGED, 0.0)], of=WHICH, object=number)
         for number in (2, 0)
     )
     assert right.passed
-    failed = {check.name: check.detail for check in wrong.checks if check.passed is False}
-    assert failed.keys() == {"which object", "nothing misleading"}
-    assert failed["which object"] == "box"
+    assert wrong.failed == ["which object", "nothing misleading"]
+    assert wrong.checks[0].detail == "box"
     assert [each.figures["misleading"]["estimates"] for each in (right, wrong)] == [0, 1]
 
 

@@ -13,7 +13,7 @@ from taxeld.errors import SetupError
 from taxeld.service.clock import Ready
 from taxeld.source.device import AwayError, LostError
 from taxeld_hil.rig.rig import Rig
-from taxeld_hil.run.memory import MemoryDevice, MemoryLine
+from taxeld_hil.run.fake import MemoryDevice, MemoryLine
 from taxeld_hil.scenario.scenario import Fault, Scenario
 from tests.rig.fake_threads import Threads
 

@@ -204,7 +204,7 @@ class Run:
         counted = daemon.health(self.world.now, self.world.unix())
         self._law(counted["estimator"]["scans"] == len(used), "a scan has no outcome")
         self.world.rig.ledger.poses_heard = self._poses
-        for law in laws(self.world.rig.ledger, counted, line=False):
+        for law in laws(self.world.rig.ledger.entries(), counted, line=False):
             self._law(law.holds, f"{law.name}: {law.expected}, where {law.counted} are counted")
         self.estimates = of_scans(self._outcomes)
 

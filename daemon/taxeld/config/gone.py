@@ -18,6 +18,7 @@ GONE: dict[str, str] = {
     "taxeld-hil soak --lap": "a soak's report has a row a lap",
     "taxeld-hil soak --no-faults": "a scenario without faults has none: 'taxeld-hil matrix demo'",
     "taxeld-hil soak --frozen": "a soak's daemon learns, as every daemon does",
+    "taxeld-hil run --limit-s": "a run on hardware may take two minutes a contact",
     "taxeld-train evaluate ablation": WHOLE,
     "taxeld-train evaluate filter": WHOLE,
     "taxeld-train evaluate integrity": "'evaluate map' counts what misleads",

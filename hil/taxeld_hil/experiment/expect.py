@@ -11,6 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from taxeld.estimator.estimate import Estimate
+from taxeld.model.symmetry import add_m
+from taxeld.pipeline.freshness import Why
 from taxeld.proposals.analytic import Table
 from taxeld_hil.experiment.expect_subjects import known_responses
 from taxeld_hil.experiment.measurement import RunRow, digest
@@ -80,19 +83,21 @@ def play(name: str, subject: Scenario, seed: int, touches: int, keys: str) -> Ru
     notes = IDLE_S + run.rig.path.touched[:, 1] + SEEN_S
     after: list[dict[str, Any]] = []
     for k in range(math.ceil(notes[-1] * RATE_HZ) + 1):
-        run.step(k / RATE_HZ)
+        e = run.step(k / RATE_HZ)
         if k / RATE_HZ >= notes[len(after)]:
-            after.append(_noted(run))
+            after.append(_noted(run, e))
     return {"name": name, "seed": seed, "after": after}
 
 
-def _noted(run: FakeRun) -> dict[str, Any]:
-    last = run.judge.last
-    assert last is not None  # noqa: S101  (there is an estimate after each tick)
+def _noted(run: FakeRun, e: Estimate | None) -> dict[str, Any]:
+    assert e is not None  # noqa: S101  (there is an estimate after each tick)
+    assert run.daemon is not None  # noqa: S101
+    error_m = add_m(run.rig.model.scene, e.map, run.rig.world.truth)[1]
+    is_valid = run.daemon.pipeline.freshness.why(e, run.line.now) is Why.VALID
     return {
-        "error_mm": round(run.judge.error_mm(last.map), 3),
-        "p": round(last.claimed, 4),
-        "radius_mm": round(1e3 * last.radius_m, 3),
+        "error_mm": round(1e3 * error_m, 3),
+        "p": round(e.p if is_valid else 0.0, 4),
+        "radius_mm": round(1e3 * e.radius_m, 3),
     }
 
 

@@ -1,6 +1,5 @@
 """`taxeld-hil matrix`: scenarios on objects and skins, seed by seed, and how many find theirs."""
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
@@ -9,7 +8,7 @@ from taxeld.errors import SetupError
 from taxeld_hil.experiment.measurement import RunRow, about, digest, row, title
 from taxeld_hil.jobs import Job
 from taxeld_hil.run.fake_run import NOT_INJECTED, FakeRun
-from taxeld_hil.run.live import LiveRun
+from taxeld_hil.run.live import SimulatedRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import solid_of
@@ -56,9 +55,8 @@ def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> RunRow:
     """The figures of one run."""
     stem = Path(name).stem
     if in_real_time:
-        with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
-            run = LiveRun(stem, subject, seed, Path(place) / "session", "", lambda _: None)
-            grade = run.graded(Path(place))
+        with SimulatedRun(subject, seed) as run:
+            grade = run.graded(stem)
     else:
         grade = FakeRun(subject, seed).graded(stem)
     return {

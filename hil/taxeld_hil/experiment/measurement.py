@@ -46,7 +46,7 @@ def row(grade: Grade) -> RunRow:
         "contacts": figures["contacts"],  # counted by the daemon
         "misleading_at_s": figures["misleading"]["at_s"],  # begins of episodes
         "faults": figures["faults"],
-        "failed": [check.name for check in grade.checks if check.passed is False],
+        "failed": grade.failed,
     }
 
 

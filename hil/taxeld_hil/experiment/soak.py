@@ -5,18 +5,17 @@ elsewhere and is looked for anew. A soak is a job; its result has a row a lap.
 """
 
 import math
-import tempfile
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
 from statistics import median_high
 from typing import Any
 
 from taxeld_hil.experiment.measurement import RunRow, about, digest, row, title
-from taxeld_hil.grade.grade import Grade
 from taxeld_hil.jobs import Job
 from taxeld_hil.run.fake_run import FakeRun
-from taxeld_hil.run.live import LiveRun
+from taxeld_hil.run.live import SimulatedRun
 from taxeld_hil.scenario import laps
 from taxeld_hil.scenario.scenario import Scenario
 
@@ -44,48 +43,24 @@ def play(base: Scenario, seed: int, hours: float, real: bool) -> RunRow:
     Raises:
         SetupError: a process failed.
     """
-    rows, held = (_live if real else _fake)(base, seed, hours)
-    gaps = (abs(law["expected"] - law["counted"]) - law["slack"] for law in held)
+    kinds, rows = LIVE_KINDS if real else laps.KINDS, list[RunRow]()
+    first = laps.lap(base, seed, 0, kinds)
+    with ExitStack() as stack:
+        run: FakeRun | SimulatedRun
+        if real:
+            run = stack.enter_context(SimulatedRun(first, seed))
+        else:
+            run = FakeRun(first, seed, rate_hz=RATE_HZ)
+        while not rows or _hours(rows) < hours:
+            if number := len(rows):
+                run.lap(laps.lap(base, seed, number, kinds), seed + number)
+            grade = run.graded(f"lap {number}")
+            pid = run.daemon.process.pid if isinstance(run, SimulatedRun) else "self"
+            memory = {"seconds": grade.run.end_s, "rss_mb": round(resident_mb(pid), 1)}
+            rows.append(row(grade) | memory)
+    gaps = (abs(law["expected"] - law["counted"]) - law["slack"] for law in grade.figures["laws"])
     unexplained = sum(max(gap, 0) for gap in gaps)
     return {**about(base, seed), "real": real, "unexplained": unexplained, "laps": rows}
-
-
-def _fake(
-    base: Scenario, seed: int, hours: float
-) -> tuple[list[RunRow], Sequence[Mapping[str, Any]]]:
-    """Rows and the last lap's accounts, on the fake clock."""
-    run = FakeRun(laps.lap(base, seed, 0), seed, rate_hz=RATE_HZ)
-    rows = list[RunRow]()
-    while not rows or _hours(rows) < hours:
-        if number := len(rows):
-            run.lap(laps.lap(base, seed, number), seed + number)
-        grade = run.graded(f"lap {number}")
-        rows.append(_lap(grade, run.line.t, "self"))
-    return rows, grade.figures["laws"]
-
-
-def _live(
-    base: Scenario, seed: int, hours: float
-) -> tuple[list[RunRow], Sequence[Mapping[str, Any]]]:
-    """The same in real time."""
-    rows = list[RunRow]()
-    with tempfile.TemporaryDirectory(prefix="taxeld-") as temporary:
-        place = Path(temporary)
-        first = laps.lap(base, seed, 0, LIVE_KINDS)
-        run = LiveRun("soak", first, seed, place / "session", "", lambda _: None)
-        with run.opened(place) as bench:
-            while not rows or _hours(rows) < hours:
-                number = len(rows)
-                lap = laps.lap(base, seed, number, LIVE_KINDS)
-                grade = run.lap(bench, f"lap {number}", lap, seed + number)
-                rows.append(_lap(grade, bench.rig.duration_s, run.processes.daemon.pid))
-            held = run.settled(bench)
-    return rows, [law._asdict() for law in held]
-
-
-def _lap(grade: Grade, seconds: float, pid: int | str) -> RunRow:
-    """The row of a lap that took so many seconds of scenario time, and a process's memory then."""
-    return row(grade) | {"seconds": seconds, "rss_mb": round(resident_mb(pid), 1)}
 
 
 def _hours(rows: Iterable[RunRow]) -> float:

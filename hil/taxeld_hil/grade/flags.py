@@ -1,44 +1,33 @@
-"""How a daemon must show each kind of fault, and how soon.
+"""How a daemon must show each kind of fault, how soon, and what a run's subscriber saw of it.
 
 Frames have neither number nor time of sending, and a pose is all that is known of the robot. So
 these have no flag: packets that come twice on the native link, a bus that is late as a whole, and
 wrong poses at right times.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from taxeld.config.tables import SensorPoseConfig
+from taxeld.estimator.estimate import Status
 from taxeld.pipeline import poses, stage
-from taxeld_hil.scenario.scenario import Fault
+from taxeld.pipeline.freshness import Why
+from taxeld_hil.grade.session import Health, Reception, Run
+from taxeld_hil.rig.rig import SETTLE_S
+from taxeld_hil.scenario.scenario import Fault, Scenario
 
 HEALTH_S = 1.5  # /taxeld/health comes once a second
 STALE_S = stage.SCAN_AGE_S + 0.15  # with a scan's period, and a tick
 POSE_STALE_S = poses.AGE_S + SensorPoseConfig().wait_s + 0.15
 STUCK_S = 12.5  # 200 scans without a count of change, a slice of a second, and a health message
 JUMP_S = 4.0  # found when the sensor moves on, or by readings under the baseline
-
-Health = dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Flag:
-    """Signs of a fault; one of them is enough."""
-
-    within_s: float
-    counters: tuple[str, ...] = ()  # counters of /taxeld/health that grow
-    taxels: str = ""  # list in /taxeld/health that names the taxels
-    status: tuple[str, ...] = ()  # statuses of /taxeld/estimate
-    silence: bool = False  # no estimates at all
-
-    @property
-    def text(self) -> str:
-        names = [f"status {name}" for name in self.status]
-        names += ["no estimates"] if self.silence else []
-        return ", ".join([*names, *self.counters, *([self.taxels] if self.taxels else [])])
-
-
+SILENCE_S = 0.1  # without an estimate for so long, the stream is silent
+USABLE = (Why.VALID, Why.UNTOUCHED, Why.VAGUE)  # the daemon works, whatever it knows
+DOUBTS = (Status.INCONSISTENT, Status.BLIND)
+STOPPED = (Status.STARTING, Status.STALE)
 STOPPING = (
     "reboot",
     "unplugged",
@@ -53,16 +42,46 @@ STOPPING = (
 BROKEN = ("source.crc_errors", "source.length_errors", "source.dropped.orphan")
 
 
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """Signs of a fault; one of them is enough."""
+
+    within_s: float
+    counters: tuple[str, ...] = ()  # counters of /taxeld/health that grow
+    taxels: str = ""  # list in /taxeld/health that names the taxels
+    status: tuple[Status, ...] = ()  # statuses of /taxeld/estimate
+    silence: bool = False  # no estimates at all
+
+    @property
+    def text(self) -> str:
+        names = [f"status {status.name}" for status in self.status]
+        names += ["no estimates"] * self.silence
+        return ", ".join([*names, *self.counters, *filter(None, [self.taxels])])
+
+
+@dataclass(frozen=True, slots=True)
+class FaultSigns:
+    """What was seen of a fault."""
+
+    fault: Fault
+    flag: Flag | None
+    injected: bool
+    detected_s: float | None  # after its beginning
+    recovered_s: float | None  # after its end, to a usable estimate that no stop follows
+    doubted: bool = False  # at the end of its time the status was INCONSISTENT or BLIND
+    overlapped: bool = False  # another fault was not over, or began before the recovery
+
+
 def flag_of(fault: Fault, transport: str) -> Flag | None:
     """How a daemon on this transport must show a fault; None: it cannot be detected, or is over
     before it must be."""
-    flag = _flag(fault, transport)
+    flag = _flag(fault, transport == "native", transport == "slcan")
     lasting = flag is not None and (flag.taxels or fault.kind == "baseline_jump")
     return None if lasting and flag is not None and fault.for_s < flag.within_s else flag
 
 
-def _flag(fault: Fault, transport: str) -> Flag | None:
-    line = transport == "native"
+def _flag(fault: Fault, line: bool, slcan: bool) -> Flag | None:
+    stale, doubt = (Status.STALE,), (Status.INCONSISTENT,)
     match fault.kind:
         case "dropped":
             return Flag(HEALTH_S, (*BROKEN, "source.missed"))
@@ -81,18 +100,17 @@ def _flag(fault: Fault, transport: str) -> Flag | None:
         case "saturated":
             return Flag(HEALTH_S, taxels="saturated_taxels")
         case "baseline_jump":
-            counters = ("estimator.stuck", "skin.lowered")
-            return Flag(JUMP_S, counters, status=("INCONSISTENT",))
+            return Flag(JUMP_S, ("estimator.stuck", "skin.lowered"), status=doubt)
         case "reboot" | "unplugged":
-            return Flag(STALE_S, status=("STALE",))
-        case "adapter_closed" if transport == "slcan":
-            return Flag(STALE_S, status=("STALE",))
+            return Flag(STALE_S, status=stale)
+        case "adapter_closed" if slcan:
+            return Flag(STALE_S, status=stale)
         case "pose_silent":
-            return Flag(POSE_STALE_S, status=("STALE",))
+            return Flag(POSE_STALE_S, status=stale)
         case "pose_late" if fault.delay_s > POSE_STALE_S:
-            return Flag(POSE_STALE_S, status=("STALE",))
+            return Flag(POSE_STALE_S, status=stale)
         case "pose_jumping":
-            return Flag(HEALTH_S, ("estimator.jumps",), status=("INCONSISTENT",))
+            return Flag(HEALTH_S, ("estimator.jumps",), status=doubt)
         case "daemon_killed":
             return Flag(0.5, silence=True)
     return None
@@ -106,22 +124,79 @@ def value(health: Health, path: str) -> int:
     return int(found) if isinstance(found, (int, float)) else 0
 
 
-def of_link(health: Health | None, link: int) -> Health | None:
-    """The health of a link."""
-    if health is None or not link:
+def grew(flag: Flag, before: Health, now: Health) -> bool:
+    """Whether one of the flag's counters is higher than `before`, in this life of the daemon."""
+    base = before if before and before["uptime_s"] <= now["uptime_s"] else {}
+    return any(value(now, name) > value(base, name) for name in flag.counters)
+
+
+def signs(run: Run, got: Reception) -> list[FaultSigns]:
+    """What was seen of each fault that began, in the order of their beginning."""
+    faults = zip(run.scenario.fault, run.taxels, strict=True)
+    begun = sorted(faults, key=lambda pair: pair[0].at_s)
+    return [_signs(run, got, *pair) for pair in begun if pair[0].at_s <= run.end_s]
+
+
+def _signs(run: Run, got: Reception, fault: Fault, taxels: Sequence[int]) -> FaultSigns:
+    scenario, t = run.scenario, got.t
+    flag = flag_of(fault, scenario.transport)
+    # the time to recover ends at the latest when another fault begins
+    window_s = scenario.expect.recovery_s + SETTLE_S
+    later = [other.at_s for other in scenario.fault if other.at_s >= fault.end_s]
+    close_s = min([fault.end_s + window_s, *later])
+    within = (t >= fault.at_s) & (t < close_s)
+    lost = got.lost[:, fault.link] if got.lost.size else np.zeros(len(t), bool)
+    listed = list(_listed(flag, fault, taxels, got, close_s))
+    shown = [at for at, _ in listed]
+    if flag is not None:
+        is_shown = np.isin(got.status, flag.status) | (lost & (Status.STALE in flag.status))
+        shown += t[within & is_shown][:1].tolist()
+        gaps = np.flatnonzero(within[1:] & (np.diff(t) > SILENCE_S))[:1]
+        shown += np.maximum(t[gaps] + SILENCE_S, fault.at_s).tolist() if flag.silence else []
+    # back to what can be used, with all that it had lost
+    stopped = lost | np.isin(got.status, STOPPED)
+    after = within & (t >= fault.end_s)
+    last_stop_s = t[after & stopped].max(initial=-np.inf)
+    usable = t[after & ~stopped & (t > last_stop_s) & np.isin(got.why, USABLE)][:1].tolist()
+    back = [at for at, kind in got.returns if kind == fault.kind and fault.end_s < at < close_s][:1]
+    back += [at for at, in_list in listed if in_list and at > fault.end_s][-1:]
+    is_back = usable and (back or fault.kind != "subscriber_dead")
+    overlapped = _is_overlapped(fault, scenario)
+    before = got.status[t < close_s][-1:]
+    return FaultSigns(
+        fault,
+        flag,
+        fault.kind not in run.not_injected,
+        min(shown) - fault.at_s if shown else None,
+        max(usable + back) - fault.end_s if is_back and not overlapped else None,
+        bool(not usable and np.isin(before, DOUBTS).any()),
+        overlapped or (not usable and close_s < fault.end_s + window_s),
+    )
+
+
+def _listed(
+    flag: Flag | None, fault: Fault, taxels: Iterable[int], got: Reception, close_s: float
+) -> Iterator[tuple[float, bool]]:
+    """The times of those messages of health that show a fault, and whether they list its taxels."""
+    if flag is None:
+        return
+    earlier = [health for at, health in got.health if at < fault.at_s]
+    before = _of_link(earlier[-1], fault.link) if earlier else {}
+    for at, whole in got.health:
+        if fault.at_s <= at < close_s:
+            health = _of_link(whole, fault.link)
+            listed = bool(flag.taxels) and set(taxels) <= set(health.get(flag.taxels, ()))
+            if listed or grew(flag, before, health):
+                yield at, listed
+
+
+def _of_link(health: Health, link: int) -> Health:
+    if not link:
         return health
     return {"uptime_s": health["uptime_s"], **[*health["links"].values()][link]}
 
 
-def grew(flag: Flag, before: Health | None, now: Health) -> bool:
-    """Whether one of the flag's counters is higher than before."""
-    base = before if before is not None and before["uptime_s"] <= now["uptime_s"] else {}
-    return any(value(now, name) > value(base, name) for name in flag.counters)
-
-
-def lists(flag: Flag, health: Health, taxels: Iterable[int]) -> bool:
-    """Whether the flag's list names all the taxels."""
-    return bool(flag.taxels) and set(taxels) <= set(health.get(flag.taxels, ()))
-
-
-TaxelsOf = Callable[[Fault], list[int]]
+def _is_overlapped(fault: Fault, scenario: Scenario) -> bool:
+    """Whether another fault that stops the estimates is on when this one ends."""
+    others = (other for other in scenario.fault if other.kind in STOPPING)
+    return any(other.at_s < fault.end_s < other.end_s for other in others)

@@ -1,17 +1,35 @@
-"""The grade of a run: checks that pass, fail or could not be made, and the figures behind them."""
+"""The grade of a session: checks that pass, fail or could not be made, and the figures behind them.
 
-from collections import Counter
+It is read from the session's files alone, whatever run has made them.
+"""
+
+import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
-from taxeld.estimator.estimate import Status
-from taxeld_hil.grade.judge import AGE_UNIT_S, Judge, Seen, percentile
-from taxeld_hil.grade.reconcile import Law
-from taxeld_hil.rig.ledger import Ledger
-from taxeld_hil.scenario.scenario import Expect
+import numpy as np
 
-PERCENTILES = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "max": 1.0}
+from taxeld.arrays import Bools, Floats, Poses
+from taxeld.estimator.estimate import Status
+from taxeld.model.scene import Scene
+from taxeld.model.symmetry import add_m
+from taxeld.pipeline.freshness import Why
+from taxeld.source.session import truth as true_pose
+from taxeld_hil import integrity
+from taxeld_hil.grade import session
+from taxeld_hil.grade.flags import FaultSigns, signs
+from taxeld_hil.grade.reconcile import Law, laws
+from taxeld_hil.grade.session import Reception, Run
+from taxeld_hil.scenario.scenario import Expect
+from taxeld_hil.world.world import load_model
+
+GRADE = "grade.json"
+PERCENTILES = {"p50": 50, "p90": 90, "p99": 99, "max": 100}
+EPISODES_KEPT = 100
+MARKS = {True: "ok  ", False: "FAIL", None: "-   "}
+UNKNOWN = "not graded: the true pose is not known"
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,17 +39,6 @@ class Check:
     name: str
     passed: bool | None  # None: it could not be checked
     detail: str
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """Which run it was."""
-
-    scenario: str
-    seed: int
-    target: str  # sim, or the device
-    clock: str  # fake, real
-    transport: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,79 +53,139 @@ class Grade:
     def passed(self) -> bool:
         return all(check.passed is not False for check in self.checks)
 
-    def as_json(self) -> dict[str, Any]:
+    @property
+    def failed(self) -> list[str]:
+        """The names of the checks that failed."""
+        return [check.name for check in self.checks if check.passed is False]
+
+    def write(self, directory: Path) -> None:
+        """Write grade.json."""
+        run = {name: getattr(self.run, name) for name in ("seed", "target", "clock")}
+        about = {"scenario": self.run.name, **run, "transport": self.run.scenario.transport}
         checks = [asdict(check) for check in self.checks]
-        return {**asdict(self.run), "passed": self.passed, "checks": checks, **self.figures}
+        made = {**about, "passed": self.passed, "checks": checks, **self.figures}
+        (directory / GRADE).write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
 
 
-def grade(run: Run, judge: Judge, laws: list[Law], ledger: Ledger | None) -> Grade:
-    """`laws` and `ledger` are of a virtual skin; a real one has none."""
-    expect = judge.scenario.expect
+def grade(directory: Path) -> Grade:
+    """The grade of a session that a run has left.
+
+    Raises:
+        SetupError: a file is missing or damaged, or the scenario's bundle cannot be loaded.
+    """
+    run = session.read_run(directory)
+    got, truth = session.read(directory, run.scenario.links), true_pose(directory)
+    scene = load_model(run.scenario.of_link(0)).scene
+    faults, figures = signs(run, got), _figures(got)
+    figures["error_mm"] = None
+    if truth is not None:
+        figures |= _truth(run, got, scene, truth)
+    health = got.health[-1][1] if got.health else {}
+    line = run.scenario.transport == "native"
+    held = [] if run.ledger is None else laws(run.ledger, health, line=line)
     checks = [
-        *_found(judge, expect),
-        _misleading(judge),
-        *(check for seen in judge.seen for check in _fault(seen, expect)),
-        *_accounts(laws, ledger),
+        *_found(run, got, figures["error_mm"], truth is None),
+        _misleading(figures),
+        *(check for each in faults for check in _of_fault(each, run.scenario.expect)),
+        *_accounts(run, held),
     ]
-    figures = {
-        "error_mm": _error_mm(judge),
-        "status": judge.last.status.name.lower() if judge.last else "none",
-        "contacts": judge.last.contacts if judge.last else 0,
-        "estimates": judge.tally.estimates,
-        "valid": judge.tally.valid,
-        "sure": judge.tally.sure,
-        "misleading": {
-            "estimates": judge.tally.misleading,
-            "episodes": judge.tally.misleading_episodes,
-            "worst_mm": judge.tally.worst_misleading_mm,
-            "at_s": judge.tally.misleading_at_s,
-        },
-        "age_ms": _percentiles(judge.tally.ages, 1e3 * AGE_UNIT_S),
-        "tick_ms": _percentiles(judge.tally.ticks_us, 1e-3),
-        "faults": [_fault_row(seen) for seen in judge.seen],
-        "laws": [{**law._asdict(), "holds": law.holds} for law in laws],
-        "ledger": ledger.entries() if ledger else {},
-    }
+    figures["faults"] = [_fault_row(each) for each in faults]
+    figures["laws"] = [{**law._asdict(), "holds": law.holds} for law in held]
+    figures["ledger"] = run.ledger or {}
     return Grade(run, tuple(checks), figures)
 
 
-def _error_mm(judge: Judge) -> float | None:
-    """None where there is no truth, or no estimate."""
-    if judge.truth is None or judge.last is None or not judge.last.valid:
-        return None
-    return judge.error_mm(judge.last.map)
+def _figures(got: Reception) -> dict[str, Any]:
+    """What needs no truth."""
+    last = got.status[-1:].tolist()
+    unsure = np.flatnonzero(got.status != Status.CONVERGED)
+    sure_since = got.contacts[unsure[-1] + 1 if len(unsure) else 0 :][:1].tolist()
+    is_new = (got.scan_t != 0.0) & (np.diff(got.scan_t, prepend=0.0) != 0.0)  # of each scan
+    new = got.lat_ms["skin"] > 0.0
+    return {
+        "status": Status(last[0]).name.lower() if last else "none",
+        "contacts": int(got.contacts[-1]) if last else 0,
+        "sure_after": sure_since[0] if sure_since else 0,  # contacts, from when on it was sure
+        "estimates": len(got.t),
+        "valid": int((got.why == Why.VALID).sum()),
+        "age_ms": _percentiles(got.age_ms[is_new]),
+        "latency_ms": {name: _percentiles(lat[new]) for name, lat in got.lat_ms.items()},
+    }
 
 
-def _found(judge: Judge, expect: Expect) -> Iterator[Check]:
-    last, error = judge.last, _error_mm(judge)
-    converged = last is not None and last.valid and last.status == Status.CONVERGED
-    state = "no estimate came" if last is None else f"status {last.status.name.lower()}"
-    state += f", not valid: {last.why.name.lower()}" if last and not last.valid else ""
-    known = judge.scenario.known
-    if len(known) > 1 and last is not None and expect.found:
-        yield Check("which object", last.object == judge.object, known[last.object])
+def _truth(run: Run, got: Reception, scene: Scene, truth: Poses) -> dict[str, Any]:
+    """The error at the end, and what misleads."""
+    known, is_sure = run.scenario.known, integrity.is_sure(got.claimed)
+    number = known.index(run.scenario.bundle) if run.scenario.bundle in known else -1
+    asked = is_sure.copy()
+    asked[-1:] = True
+    error_mm = _errors_mm(scene, truth, got.pose, asked)
+    of_its_object = np.where(got.object == number, error_mm, np.nan)
+    misled = is_sure & integrity.is_misleading(got.claimed, of_its_object, got.radius_mm)
+    begins = got.t[misled & ~np.concatenate([[False], misled[:-1]])[: len(misled)]]
+    is_valid = (got.why[-1:] == Why.VALID).any()
+    return {
+        "error_mm": float(error_mm[-1]) if is_valid else None,  # of the last estimate
+        "sure": int(is_sure.sum()),
+        "misleading": {
+            "estimates": int(misled.sum()),
+            "episodes": len(begins),  # uninterrupted sequences of misleading estimates
+            "worst_mm": float(error_mm[misled].max(initial=0.0)),
+            "at_s": begins[:EPISODES_KEPT].tolist(),
+        },
+    }
+
+
+def _errors_mm(scene: Scene, truth: Poses, pose: Poses, asked: Bools) -> Floats:
+    """(N,) symmetry-aware ADD of poses (N, 3), where it is asked for; else not a number."""
+    found = np.full(len(pose), np.nan)
+    each, index = np.unique(pose[asked], axis=0, return_inverse=True)
+    errors = np.array([1e3 * add_m(scene, one, truth)[1] for one in each])
+    found[asked] = errors[index.ravel()] if len(each) else []
+    return found
+
+
+def _percentiles(values: Floats) -> dict[str, float]:
+    if not len(values):
+        return dict.fromkeys(PERCENTILES, 0.0)
+    return dict(
+        zip(PERCENTILES, np.percentile(values, [*PERCENTILES.values()]).tolist(), strict=True)
+    )
+
+
+def _found(run: Run, got: Reception, error_mm: float | None, is_unknown: bool) -> Iterator[Check]:
+    expect, known = run.scenario.expect, run.scenario.known
+    state, is_found = "no estimate came", False
+    if len(got.t):
+        status, why = Status(got.status[-1]), Why(got.why[-1])
+        state = f"status {status.name.lower()}"
+        state += "" if why is Why.VALID else f", not valid: {why.name.lower()}"
+        is_found = why is Why.VALID and status is Status.CONVERGED
     if not expect.found:
         yield Check("object found", None, f"not asked for; {state}")
-    else:
-        yield Check("object found", converged, state)
-        if judge.truth is None:
-            yield Check("accuracy", None, "not graded: the true pose is not known")
-        else:
-            near = error is not None and error < expect.error_mm
-            text = "no valid estimate" if error is None else f"{error:.2f} mm off"
-            yield Check("accuracy", near, f"{text}, under {expect.error_mm:g} mm is asked")
+        return
+    if len(known) > 1 and len(got.t):
+        name = known[got.object[-1]]
+        yield Check("which object", name == run.scenario.bundle, name)
+    yield Check("object found", is_found, state)
+    if is_unknown:
+        yield Check("accuracy", None, UNKNOWN)
+        return
+    text = "no valid estimate" if error_mm is None else f"{error_mm:.2f} mm off"
+    near = error_mm is not None and error_mm < expect.error_mm
+    yield Check("accuracy", near, f"{text}, under {expect.error_mm:g} mm is asked")
 
 
-def _misleading(judge: Judge) -> Check:
-    tally, name = judge.tally, "nothing misleading"
-    if judge.truth is None:
-        return Check(name, None, "not graded: the true pose is not known")
-    worst = f", {tally.worst_misleading_mm:.1f} mm off at worst" if tally.misleading else ""
-    text = f"{tally.misleading} of {tally.sure} sure estimates{worst}"
-    return Check(name, not tally.misleading, text)
+def _misleading(figures: dict[str, Any]) -> Check:
+    if "misleading" not in figures:
+        return Check("nothing misleading", None, UNKNOWN)
+    number, worst_mm = (figures["misleading"][key] for key in ("estimates", "worst_mm"))
+    text = f"{number} of {figures['sure']} sure estimates"
+    text += f", {worst_mm:.1f} mm off at worst" if number else ""
+    return Check("nothing misleading", not number, text)
 
 
-def _fault(seen: Seen, expect: Expect) -> Iterator[Check]:
+def _of_fault(seen: FaultSigns, expect: Expect) -> Iterator[Check]:
     fault, flag = seen.fault, seen.flag
     name = f"{fault.kind} at {fault.at_s:g} s"
     if not seen.injected:
@@ -141,30 +208,54 @@ def _fault(seen: Seen, expect: Expect) -> Iterator[Check]:
         yield Check(name, False, f"no usable estimate in time{why}")
 
 
-def _fault_row(seen: Seen) -> dict[str, Any]:
+def _fault_row(seen: FaultSigns) -> dict[str, Any]:
     fault, flag = seen.fault, seen.flag
-    return {
-        "kind": fault.kind,
-        "at_s": fault.at_s,
-        "for_s": fault.for_s,
-        "injected": seen.injected,
-        "flag": flag.text if flag else None,
-        "within_s": flag.within_s if flag else None,
-        "detected_s": seen.detected_s,
-        "recovered_s": seen.recovered_s,
-        "doubted": seen.doubted,
-        "overlapped": seen.overlapped,
-    }
+    of_fault = {name: getattr(fault, name) for name in ("kind", "at_s", "for_s")}
+    names = ("injected", "detected_s", "recovered_s", "doubted", "overlapped")
+    of_flag = {"flag": flag.text if flag else None, "within_s": flag.within_s if flag else None}
+    return of_fault | of_flag | {name: getattr(seen, name) for name in names}
 
 
-def _accounts(laws: list[Law], ledger: Ledger | None) -> Iterator[Check]:
-    if ledger is None:
+def _accounts(run: Run, held: list[Law]) -> Iterator[Check]:
+    if run.ledger is None:
         yield Check("accounts", None, "not graded: only a virtual skin keeps a ledger")
-    for law in laws:
+    for law in held:
         text = f"{law.counted} counted, {law.expected} expected"
         slack = f" ± {law.slack}" if law.slack else ""
         yield Check(f"accounts: {law.name}", law.holds, text + slack)
 
 
-def _percentiles(counts: Counter[int], unit: float) -> dict[str, float]:
-    return {name: percentile(counts, share) * unit for name, share in PERCENTILES.items()}
+def lines(graded: Grade) -> Iterator[str]:
+    """The report: laws that hold are one line."""
+    run, figures = graded.run, graded.figures
+    if run.clock == "real":
+        yield "latency [ms]   median     p99     max"
+        for stage, of in figures["latency_ms"].items():
+            yield f"{stage:12s} {of['p50']:8.2f} {of['p99']:7.2f} {of['max']:7.2f}"
+    if figures["error_mm"] is not None:
+        about = "mean distance of the object's points, up to its symmetry"
+        yield f"final error {figures['error_mm']:.1f} mm ({about})"
+    if run.scenario.advised:
+        after = figures["sure_after"]
+        yield f"advised: sure after {after} contacts" if after else "advised: not sure"
+    where = f"on {run.target} over {run.scenario.transport}, {run.clock} clock"
+    yield f"{run.name}, seed {run.seed}, {where}"
+    held = [check for check in graded.checks if check.name.startswith("accounts: ")]
+    for check in graded.checks:
+        if check not in held or not check.passed:
+            yield _line(check)
+    if held and all(check.passed for check in held):
+        sent = figures["ledger"]["fates"]["units"]
+        yield _line(Check("accounts", True, f"{len(held)} laws hold over {sent} frames"))
+    age_ms = ", ".join(f"{key} {value:.2f}" for key, value in figures["age_ms"].items())
+    if run.clock == "real":
+        yield f"      scan to estimate [ms]: {age_ms}"
+    done = figures["ledger"].get("done", {})
+    if done:
+        yield "      injected: " + ", ".join(f"{kind} {n}" for kind, n in done.items())
+    failed = len(graded.failed)
+    yield "passed" if graded.passed else f"failed: {failed} of {len(graded.checks)} checks"
+
+
+def _line(check: Check) -> str:
+    return f"{MARKS[check.passed]}  {check.name}: {check.detail}"

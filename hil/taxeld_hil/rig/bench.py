@@ -2,17 +2,14 @@
 
 import math
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import msgpack
 import zmq
 
-from taxeld.errors import SetupError
-from taxeld.source import session
-from taxeld.source.recorder import Recorder
+from taxeld.source.session import Item
 from taxeld.stream import topics
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort, CanPort, NativePort, Port, SlcanPort, is_heard
@@ -25,26 +22,34 @@ class Bench:
     """Sends what the rig sends, in real time; to be stepped some hundred times a second."""
 
     def __init__(
-        self, rig: Rig, where: Path | str, poses: zmq.Socket[Any], recorder: Recorder
+        self,
+        rig: Rig,
+        where: Path | str,
+        poses: zmq.Socket[Any],
+        record: Callable[[Item], None] = lambda _: None,
     ) -> None:
-        """`where`: the name that a pseudo-terminal gets, or a CAN interface; `poses`: an XPUB."""
-        self.rig = rig
+        """`where`: the name that a pseudo-terminal gets, or a CAN interface; `poses`: an XPUB;
+        `record` is called with all that passes.
+
+        Raises:
+            SetupError: there is no such interface, or the name is taken.
+        """
+        self.rig, self.record = rig, record
         rig.ledger.period_s = math.inf  # when the host reads is not known here
         self.start_s: float | None = None  # monotonic, of the first scan
-        self._recorder = recorder
         self._poses = poses
         self._prefixes = set[bytes]()
         self._finished = False
-        self.port = self._opened(where)
-
-    def _opened(self, where: Path | str) -> Port:
+        self.port: Port
         if isinstance(where, str):
-            return CanPort(where, self._recorder.take)
-        if self.rig.is_array:
-            return ArrayPort(where)
-        if self.rig.line:
-            return NativePort(where)
-        return SlcanPort(where, self._recorder.take)
+            self.port = CanPort(where, self._record)
+        elif rig.is_array or rig.line:
+            self.port = ArrayPort(where) if rig.is_array else NativePort(where)
+        else:
+            self.port = SlcanPort(where, self._record)
+
+    def _record(self, item: Item) -> None:
+        self.record(item)
 
     @property
     def t(self) -> float:
@@ -54,6 +59,7 @@ class Bench:
     def lap(self, scenario: Scenario, seed: int) -> None:
         """Go on with another scenario; the first lap begins when a host starts the skin."""
         self.rig.lap(scenario, seed)
+        self._finished = False
         if self.start_s is not None:
             self.start_s = time.monotonic()
 
@@ -87,13 +93,6 @@ class Bench:
         self._send(self.rig.rest(), time.time())
         self._finished = True
 
-    def host_died(self) -> None:
-        self.port.forget()
-
-    def host_begins(self) -> None:
-        """Another host will listen."""
-        self.rig.ledger.begin()
-
     def close(self) -> None:
         self.port.close()
 
@@ -102,10 +101,11 @@ class Bench:
         for unit in units:
             item = unit.item
             if isinstance(item, bytes):
-                self._recorder.take(Chunk(wall, item))
+                self.record(Chunk(wall, item))
             else:
-                unit = unit._replace(item=item._replace(t=wall))  # noqa: PLW2901
-                self._recorder.take(item._replace(t=wall))
+                item = item._replace(t=wall)
+                unit = unit._replace(item=item)  # noqa: PLW2901
+                self.record(item)
             if not self.port.is_open:
                 continue
             if self.port.send(unit):
@@ -121,48 +121,4 @@ class Bench:
             frames = (topics.SENSOR_POSE, body, b"%.6f" % wall)
             self._poses.send_multipart(frames, zmq.NOBLOCK)
             self.rig.ledger.poses_heard += 1
-        self._recorder.pose(wall, x, y, theta)
-
-
-@contextmanager
-def recorded(
-    rig: Rig, where: Path | str, poses: zmq.Socket[Any], directory: Path
-) -> Iterator[Bench]:
-    """A bench that leaves its session in `directory`.
-
-    Raises:
-        SetupError: there is no such interface, or the directory has a file of one.
-    """
-    with Recorder(directory, moves=True) as recorder:
-        write_truth(directory, rig)
-        bench = Bench(rig, where, poses, recorder)
-        try:
-            yield bench
-        finally:
-            bench.close()
-
-
-def write_config(directory: Path, config: str) -> Path:
-    """Begin the session in a directory with its configuration; → the file.
-
-    Raises:
-        SetupError: the directory has a configuration, which a run would overwrite.
-    """
-    directory.mkdir(parents=True, exist_ok=True)
-    path = directory / session.CONFIG
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(config)
-    except FileExistsError:
-        raise SetupError(f"--out: {path} is there already; name another directory") from None
-    return path
-
-
-def write_truth(directory: Path, rig: Rig) -> None:
-    """Write truth.csv of a session; it is complete as soon as it exists."""
-    row = ",".join(f"{v:.6f}" for v in (time.time(), *rig.world.truth))
-    header = ",".join(session.POSE_COLUMNS)
-    directory.mkdir(parents=True, exist_ok=True)  # a recorder makes it with its first record
-    partial = directory / f"{session.TRUTH}.partial"
-    partial.write_text(f"{header}\n{row}\n", encoding="ascii")
-    partial.rename(directory / session.TRUTH)
+        self.record((wall, x, y, theta))

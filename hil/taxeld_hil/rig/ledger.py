@@ -126,10 +126,10 @@ class Ledger:
 
     def entries(self) -> dict[str, Any]:
         """For a report."""
-        names = ("scans_sent", "packets_sent", "poses_sent", "refused", "hosts")
+        names = ("scans_sent", "packets_sent", "poses_sent", "poses_heard", "refused", "hosts")
         return {
             "done": dict(sorted(self.done.items())),
-            **{name: getattr(self, name) for name in names},
+            **{name: getattr(self, name) for name in (*names, "knows_pauses")},
             "fates": asdict(self.fates),
         }
 

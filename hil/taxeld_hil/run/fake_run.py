@@ -1,10 +1,11 @@
 """A run on the fake clock, without waiting; deterministic for a scenario and a seed."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+
+import msgpack
 
 from taxeld.commands.advise import Adviser
 from taxeld.config import file as config_file
@@ -12,23 +13,22 @@ from taxeld.estimator.estimate import Estimate
 from taxeld.skin.calibration import Calibration, SkinState
 from taxeld.source import recorder, session
 from taxeld.source.session import Item
-from taxeld_hil.grade.grade import Grade, Run, grade
-from taxeld_hil.grade.judge import Judge, Sample
-from taxeld_hil.grade.reconcile import laws, summed
-from taxeld_hil.rig.bench import write_config, write_truth
+from taxeld.stream import topics
+from taxeld_hil.grade.session import Run
 from taxeld_hil.rig.ledger import Ledger
 from taxeld_hil.rig.rig import lap, rigs_of
-from taxeld_hil.run.fake import FakeDaemon
-from taxeld_hil.run.memory import MemoryLine
+from taxeld_hil.run.fake import FakeDaemon, MemoryLine
+from taxeld_hil.run.session_run import SessionRun, write_truth
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
 from taxeld_hil.world import bundled
 
 NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
 HEALTH_S = 1.0
+BATCH = 1000  # records written at once
 
 
-class FakeRun:
+class FakeRun(SessionRun):
     """A scenario on the fake clock, tick by tick; or several, lap by lap, in one life."""
 
     def __init__(
@@ -45,14 +45,14 @@ class FakeRun:
         Raises:
             SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
         """
-        self.scenario = scenario
+        self.scenario, self._seed = scenario, seed
         self.rigs = rigs_of(scenario, seed)
         self.rig = self.rigs[0]
         apart = [[rig] for rig in self.rigs]
         self.lines = [MemoryLine(*on) for on in ([self.rigs] if scenario.one_bus else apart)]
         self.line = self.lines[0]
-        self._file = settings.without_devices(scenario, seed, filter_keys)
-        parsed = config_file.parse(self._file)
+        self.config_text = settings.without_devices(scenario, seed, filter_keys)
+        parsed = config_file.parse(self.config_text)
         self.config = replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))
         where = [rig.scenario.skin_layout for rig in self.rigs]
         self.scenes = [bundled.on_layout(name, *where) for name in scenario.known]
@@ -60,48 +60,20 @@ class FakeRun:
         self._calibration = calibration
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
-        self.judge = self.judging()
-        # called with what comes, and its link
-        self._record: Callable[[Item, int], None] = lambda _item, _link: None
+        self._wire: WireFiles | None = None
         self._adviser = Adviser(self.config, settings.REACH) if scenario.advised else None
-        self._seed = seed
         self._began_s = self._next_health_s = 0.0
 
+    def __exit__(self, *_: object) -> None:
+        """Nothing runs beside it."""
+
     def lap(self, scenario: Scenario, seed: int) -> None:
-        """Begin another lap, and have the daemon forget the object."""
+        """Begin another scenario on the same skin, and have the daemon forget the object."""
         self._began_s = self.line.now + 1.0 / self.config.loop.rate_hz
         self._seed, self.scenario = seed, scenario
         lap(self.rigs, scenario, seed)
-        self.judge = self.judging()
         if self.daemon is not None:
             self.daemon.pipeline.reset()
-
-    def graded(self, name: str, directory: Path | None = None) -> Grade:
-        """The scenario of this name to its end, and its grade; its session into `directory`.
-
-        Raises:
-            SetupError: the directory has a session.
-        """
-        if directory is None:
-            self.run()
-        else:
-            write_config(directory, self._file)
-            write_truth(directory, self.rig)
-            kept: list[tuple[Item, int]] = []
-            self._record = lambda item, link: kept.append((item, link))
-            for link, line in enumerate(self.lines):
-                line.record = partial(self._record, link=link)
-            self.run()
-            write_session(directory, kept, len(self.rigs))
-        ledger = self.rig.ledger
-        if len(self.rigs) > 1:
-            ledger = Ledger((), ledger.period_s)
-            for rig in self.rigs:
-                ledger.add(rig.ledger)
-        counted = summed(self.judge.health or {})
-        held = laws(ledger, counted, line=self.rig.line)
-        run = Run(name, self._seed, "sim", "fake", self.scenario.transport)
-        return grade(run, self.judge, held, ledger)
 
     def run(self) -> None:
         """To the end."""
@@ -116,9 +88,7 @@ class FakeRun:
             self._set(k * period)
             if self.daemon is not None:
                 self.daemon.tick(self.line.now)
-        if self.daemon is not None:
-            self.judge.on_health(self.line.t, self.daemon.health(self.line.now))
-        self.judge.end(self.line.t)
+        self._publish_health()
 
     @property
     def duration_s(self) -> float:
@@ -136,7 +106,8 @@ class FakeRun:
                 line.take()
         for link, rig in enumerate(self.rigs):
             for row in rig.poses(t, now, now):
-                self._record(row, link)
+                if self._wire is not None:
+                    self._wire.take(row, link)
                 if self.daemon is not None:
                     rig.ledger.poses_heard += 1
                     self.daemon.pose(*row, link)
@@ -144,30 +115,42 @@ class FakeRun:
             return None
         self.daemon.tick(now)
         e = self.daemon.estimate(now)
-        why = self.daemon.pipeline.freshness.why(e, now)
         if self._adviser and self.rig.wants_advice(of_t := t - (now - e.t)):
             self.rig.advise(self._adviser.advise(self.daemon.pipeline.estimator.memory), of_t, t)
-        told = e.contacts, e.map, e.p, e.radius_m
-        links = tuple(self.daemon.pipeline.freshness.of_links(now)) if len(self.rigs) > 1 else ()
-        self.judge.on_estimate(
-            Sample(t, e.status, why, *told, e.t, now - e.t, object=e.object, links=links)
-        )
+        if self.published is not None:
+            body = msgpack.packb(self.daemon.message(e, now))
+            self.published.add(t, topics.ESTIMATE, body)
         if now >= self._next_health_s:
             self._next_health_s = now + HEALTH_S
-            self.judge.on_health(t, self.daemon.health(now))
+            self._publish_health()
         return e
+
+    def _publish_health(self) -> None:
+        if self.daemon is not None and self.published is not None:
+            body = msgpack.packb(self.daemon.health(self.line.now))
+            self.published.add(self.line.t, topics.HEALTH, body)
+
+    def _play(self, directory: Path) -> None:
+        write_truth(directory, self.rig.world.truth)
+        self._wire = WireFiles(directory, len(self.rigs))
+        for link, line in enumerate(self.lines):
+            line.record = partial(self._wire.take, link=link)
+        self.run()
+        self._wire.flush()
+
+    def _about(self, name: str) -> Run:
+        ledger = Ledger((), self.rig.ledger.period_s)
+        for rig in self.rigs:
+            ledger.add(rig.ledger)
+        scenario = self.scenario
+        taxels = [self.rigs[fault.link].taxels_of(fault) for fault in scenario.fault]
+        not_injected = (*NOT_INJECTED, *(OF_FRAMES if self.rig.is_array else ()))
+        about = name, self._seed, "sim", "fake", scenario, self.line.t
+        return Run(*about, taxels, not_injected, ledger.entries())
 
     def _set(self, t: float) -> None:
         for line in self.lines:
             line.t, line.now = t, self._began_s + t
-
-    def judging(self) -> Judge:
-        """A judge of what is estimated from now on, by where the object stands now."""
-        rig = self.rig
-        scene, truth = rig.model.scene, rig.world.truth
-        not_injected = (*NOT_INJECTED, *(OF_FRAMES if rig.is_array else ()))
-        rigs = self.rigs
-        return Judge(self.scenario, scene, truth, not_injected, lambda f: rigs[f.link].taxels_of(f))
 
     def _kill_or_start(self, t: float) -> None:
         killed = self.rig.fails("daemon_killed", t)
@@ -186,9 +169,27 @@ class FakeRun:
         return FakeDaemon(self.config, self.scenes, self.lines, kept, self._calibration)
 
 
-def write_session(directory: Path, kept: Sequence[tuple[Item, int]], links: int) -> None:
-    """Write the frames, or bytes of a serial line, and the poses of a run into its session."""
-    parts, headers = recorder.formatted(kept, Counter(), links), recorder.headers(links)
-    for name, data in parts.items():
-        if data or name == session.POSES:
-            (directory / name).write_bytes(headers.get(name, "").encode() + data)
+class WireFiles:
+    """The session's files of what skin and robot send, as a recorder writes them, without its
+    thread."""
+
+    def __init__(self, directory: Path, links: int) -> None:
+        self._directory, self._links = directory, links
+        self._waiting: list[tuple[Item, int]] = []
+        self._written = Counter[str]()
+        (directory / session.POSES).write_text(recorder.headers(links)[session.POSES])
+
+    def take(self, item: Item, link: int) -> None:
+        self._waiting.append((item, link))
+        if len(self._waiting) >= BATCH:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what has come."""
+        parts = recorder.formatted(self._waiting, self._written, self._links)
+        self._waiting = []
+        for name, data in parts.items():
+            path, header = self._directory / name, recorder.headers(self._links).get(name, "")
+            if data:
+                with path.open("ab") as file:
+                    file.write((b"" if path.stat().st_size else header.encode()) + data)

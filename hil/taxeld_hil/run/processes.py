@@ -1,20 +1,17 @@
 """The processes beside the harness: the daemon, and a subscriber that may die."""
 
-import os
 import signal
 import subprocess
 import sys
-import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
-from taxeld.config.tables import SceneConfig
+import zmq
+
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
-from taxeld.proposals import bundle
-from taxeld.stream import client
-from taxeld_hil.scenario.scenario import Scenario
+from taxeld.stream import client, topics
 
 GRACE_S = 5.0
 SUBSCRIBER = """
@@ -32,19 +29,19 @@ class Process:
 
     def __init__(self, what: str, *args: str, out: IO[bytes] | None = None) -> None:
         """`out`: a file that gets what it prints."""
-        self.what = what
-        self.running: subprocess.Popen[bytes] | None = None
+        self.what, self._out = what, out
         self._command = [sys.executable, *args]
-        self._out = out
+        self.start()
+
+    def start(self) -> None:
+        self.running: subprocess.Popen[bytes] | None
+        self.running = subprocess.Popen(self._command, stdout=self._out)  # noqa: S603
 
     @property
     def pid(self) -> int:
         """Process id of the running process."""
         assert self.running is not None  # noqa: S101  (asked while it runs)
         return self.running.pid
-
-    def start(self) -> None:
-        self.running = subprocess.Popen(self._command, stdout=self._out)  # noqa: S603
 
     def check(self) -> None:
         """Raises SetupError where it has ended by itself; its own message says why."""
@@ -74,22 +71,35 @@ class Process:
             raise SetupError(f"{self.what} ended with status {status}")
 
 
-class Processes:
-    """The daemon, and a subscriber that shows by printing that it works; either may be killed."""
+class LiveDaemon:
+    """The daemon, a subscriber that shows by printing that it works, and the harness's own
+    subscription; both processes may be killed."""
 
-    def __init__(self, config: Path, endpoint: str, scenario: Scenario) -> None:
-        """`config`: the daemon's file; `endpoint`: where it publishes.
-
-        Raises:
-            SetupError: the daemon would refuse the bundle on this layout.
-        """
-        known = SceneConfig(bundles=scenario.known)
-        bundle.load_all(known, [layouts.load(scenario.skin_layout)])
-        run = ("run", str(config))
-        self._printed = tempfile.TemporaryFile()  # noqa: SIM115  (for as long as this lives)
+    def __init__(self, stack: ExitStack, place: Path, config: str) -> None:
+        """`config`: the text of its file, which has its sockets in `place`. All ends with the
+        stack."""
+        file, stream, self._place = place / "taxeld.toml", f"ipc://{place}/stream", place
+        file.write_text(config, encoding="utf-8")
+        context = stack.enter_context(zmq.Context())
+        self._stream: zmq.Socket[Any] = stack.enter_context(context.socket(zmq.SUB))
+        self._stream.setsockopt(zmq.LINGER, 0)
+        self._stream.connect(stream)
+        for topic in (topics.ESTIMATE, topics.TAXELS, topics.HEALTH):
+            self._stream.setsockopt(zmq.SUBSCRIBE, topic)
+        self._printed = stack.enter_context((place / "printed").open("wb"))
         self._bytes = 0  # bytes printed by the subscriber
-        self.daemon = Process("the daemon", "-m", "taxeld.cli", *run)
-        self._subscriber = Process("the subscriber", "-c", SUBSCRIBER, endpoint, out=self._printed)
+        self.process = Process("the daemon", "-m", "taxeld.cli", "run", str(file))
+        stack.callback(self.process.kill)
+        to = "-c", SUBSCRIBER, stream
+        self._subscriber = Process("the subscriber", *to, out=self._printed)
+        stack.callback(self._subscriber.kill)
+
+    def messages(self, wait_ms: int) -> Iterator[tuple[bytes, bytes]]:
+        """Topics and bodies of what has come; the first is waited for."""
+        while self._stream.poll(wait_ms):
+            topic, body, _ = self._stream.recv_multipart()
+            yield topic, body
+            wait_ms = 0
 
     def act(self, fails: Callable[[str], bool]) -> list[str]:
         """Kill and start what `fails` says of each kind of fault; → what has happened.
@@ -99,7 +109,7 @@ class Processes:
         """
         events = []
         for kind, name, process in (
-            ("daemon_killed", "daemon", self.daemon),
+            ("daemon_killed", "daemon", self.process),
             ("subscriber_dead", "subscriber", self._subscriber),
         ):
             process.check()
@@ -109,28 +119,15 @@ class Processes:
             elif not fails(kind) and not process.running:
                 process.start()
                 events.append(f"{name} started")
-        before, self._bytes = self._bytes, os.fstat(self._printed.fileno()).st_size
+        before, self._bytes = self._bytes, (self._place / "printed").stat().st_size
         return [*events, "subscriber printed"] if self._bytes > before else events
 
-    @staticmethod
-    def reset(control: str) -> None:
-        """Have the daemon that answers there forget the object.
-
-        Raises:
-            SetupError: it does not answer.
-        """
-        if client.ask(control, "reset") is None:
+    def reset(self) -> None:
+        """Have the daemon forget the object. Raises SetupError where it does not answer."""
+        if client.ask(f"ipc://{self._place}/control", "reset") is None:
             raise SetupError("the daemon did not answer within 2 s")
-
-    def start(self) -> None:
-        self.daemon.start()
-        self._subscriber.start()
 
     def stop(self) -> None:
         """Raises SetupError where the daemon does not stop as asked."""
         self._subscriber.kill()
-        self.daemon.stop()
-
-    def kill(self) -> None:
-        self._subscriber.kill()
-        self.daemon.kill()
+        self.process.stop()

@@ -1,0 +1,70 @@
+"""What all runs have in common: each leaves a session, which is then graded."""
+
+import tempfile
+import time
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Self
+
+from taxeld.arrays import Poses
+from taxeld.errors import SetupError
+from taxeld.source import session
+from taxeld_hil.grade.grade import Grade, grade
+from taxeld_hil.grade.session import PublishedFile, Run
+
+
+class SessionRun(ABC):
+    """A scenario around a daemon."""
+
+    config_text: str  # the daemon's configuration
+    published: PublishedFile | None = None  # while it is played
+
+    def graded(self, name: str, directory: Path | None = None) -> Grade:
+        """Play the scenario of this name to its end, leave its session in `directory`, and grade
+        it; without a directory the session is thrown away.
+
+        Raises:
+            SetupError: the directory has a session, or a process failed.
+        """
+        if directory is None:
+            with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
+                return self.graded(name, Path(place))
+        directory.mkdir(parents=True, exist_ok=True)
+        path = directory / session.CONFIG
+        try:
+            with path.open("x", encoding="utf-8") as file:
+                file.write(self.config_text)
+        except FileExistsError:
+            raise SetupError(f"--out: {path} is there already; name another directory") from None
+        with PublishedFile(directory) as self.published:
+            self._play(directory)
+        self.published = None
+        self._about(name).write(directory)
+        graded = grade(directory)
+        graded.write(directory)
+        return graded
+
+    def __enter__(self) -> Self:
+        return self
+
+    @abstractmethod
+    def __exit__(self, kind: object, *_: object) -> None:
+        """End what runs beside it."""
+
+    @abstractmethod
+    def _play(self, directory: Path) -> None:
+        """To the end; what skin and robot send goes into the directory."""
+
+    @abstractmethod
+    def _about(self, name: str) -> Run:
+        """The run as it is now."""
+
+
+def write_truth(directory: Path, truth: Poses) -> None:
+    """Write truth.csv of a session; it is complete as soon as it exists."""
+    row = ",".join(f"{v:.6f}" for v in (time.time(), *truth))
+    header = ",".join(session.POSE_COLUMNS)
+    directory.mkdir(parents=True, exist_ok=True)  # a recorder makes it with its first record
+    partial = directory / f"{session.TRUTH}.partial"
+    partial.write_text(f"{header}\n{row}\n", encoding="ascii")
+    partial.rename(directory / session.TRUTH)
