@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from taxeld.commands.status import lines
 from taxeld.config.file import parse
 from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.layout.layout import Layout
@@ -14,7 +13,6 @@ from taxeld.pipeline.stage import calibrated
 from taxeld.skin.skin import Skin
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.skins import calibration_of
-from tests.rig.stream_page import documented
 
 TEXT = '[scene]\nbundle = "box"\n[source]\nkind = "can"\nchannel = "can0"\n'
 
@@ -71,17 +69,3 @@ def test_measured_noise_takes_the_place_of_defaults_and_of_nothing_else(skin: La
     assert (used.filter.noise_sigma, used.filter.gain_cv) == (0.045, 0.11)
     assert used.skin.full_scale_counts == calibration.full_scale_counts
     assert calibrated(parse(TEXT), None).filter == usual
-
-
-def test_status_tells_how_old_a_calibration_is() -> None:
-    assert "2.5 days old" in _status({"age_s": 2.5 * 86_400.0})
-    none = _status({"age_s": -1.0})
-    assert "none; full scale and mount are as configured" in none
-
-
-def _status(calibration: dict[str, object]) -> str:
-    _, health = documented("/taxeld/health")
-    _, estimate = documented("/taxeld/estimate")
-    answer = {"estimate": estimate, "health": health | {"calibration": calibration}}
-    found = list(lines(answer | {"waits_for": ""}))
-    return next(line for line in found if line.startswith("Calibration"))

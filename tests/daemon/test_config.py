@@ -221,3 +221,5 @@ def test_a_bundle_and_a_layout_are_named_as_seen_from_the_configuration(
     assert named("bracket", "skin.json") == (str(place / "bracket"), str(place / "skin.json"))
     assert named("handle", cylinder) == ("handle", cylinder), "in the shell's directory"
     assert named("box", cylinder) == ("box", cylinder), "the shipped one"
+    path.write_text(SOURCE + '[scene]\nbundles = ["box", "bracket/"]\n', encoding="utf-8")
+    assert load(path).scene.names == ("box", str(place / "bracket"))

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from taxeld.commands.check import faults
 from taxeld.commands.replay import Replay
 from taxeld.commands.status import estimate_rows
 from taxeld.config.file import load
@@ -25,7 +24,7 @@ from taxeld.service.loop import Daemon
 from taxeld.service.notices import Notices
 from taxeld.stream import messages
 from tests.rig.configurations import configuration
-from tests.rig.recorded import LiveSkin, golden, write_golden, write_session
+from tests.rig.recorded import LiveSkin, write_session
 from tests.rig.skins import SKIN
 
 THREE = ("box", "mug", "drill")
@@ -35,14 +34,6 @@ NAMES = ("003_cracker_box", "025_mug", "035_power_drill")
 @pytest.fixture(scope="module")
 def three() -> list[Bundle]:
     return bundle.load_all(SceneConfig(bundles=THREE), [SKIN])
-
-
-def test_bundles_are_found_beside_the_configuration(tmp_path: Path) -> None:
-    write_golden(tmp_path)
-    (tmp_path / "own").symlink_to(bundle.find("drill"))
-    config = load(golden(tmp_path, scene={"bundle": "", "bundles": ["box", "own/"]}))
-    assert config.scene.names == ("box", str(tmp_path / "own"))
-    assert faults(config) == []
 
 
 def test_objects_without_the_chosen_sampler_have_the_table(three: list[Bundle]) -> None:

@@ -98,24 +98,20 @@ def test_a_wrong_endpoint_is_one_line_and_status_2(
     assert refused("status", endpoint).startswith(line)
 
 
-def test_a_device_that_is_waited_for_is_one_line(tmp_path: Path) -> None:
-    source = {"kind": "serial", "channel": f"{tmp_path}/skin"}
-    config = configuration(tmp_path, source=source)
+def rows_of(**answer: Any) -> dict[str, str]:
+    """The rows of an answer that is as documented but for this."""
+    usual = {name: documented(f"/taxeld/{name}")[1] for name in ("estimate", "health")}
+    rows = (row.partition(": ") for row in lines(usual | answer))
+    return {name.rstrip(): value for name, _, value in rows}
 
-    def retried() -> dict[str, Any] | None:
-        answer = client.ask(f"ipc://{tmp_path}/control", "status", timeout_s=5.0)
-        tried = answer and answer["health"].get("source", {}).get("unopened", 0)
-        return answer if tried and tried > 1 else None
 
-    with taxeld("run", config) as daemon:
-        try:
-            answer = until(retried)
-        finally:
-            daemon.terminate()
-    (line,) = (row for row in lines(answer) if row.startswith("Device"))
-    cause = f"source.channel: cannot open {tmp_path}/skin (it is not there"
-    assert line.startswith(f"Device        : waiting, {cause}")
-    assert any(row.startswith("Not 0         : source.unopened ") for row in lines(answer))
+def test_a_device_that_is_waited_for_and_the_age_of_a_calibration_have_a_row() -> None:
+    cause = "source.channel: cannot open /dev/skin (it is not there; is it plugged in?)"
+    assert rows_of(waits_for=cause)["Device"] == f"waiting, {cause}"
+    health = documented("/taxeld/health")[1]
+    for age_s, told in ((2.5 * 86_400.0, "2.5 days old"), (-1.0, "none; full scale and mount are")):
+        row = rows_of(health=health | {"calibration": {"age_s": age_s}})["Calibration"]
+        assert told in row
 
 
 def test_a_daemon_without_health_yet_has_a_status_and_faults_of_the_bus_have_a_row(

@@ -1,21 +1,17 @@
 """docs/stream.md and the examples have exactly what a running daemon sends: each key, its type."""
 
-import subprocess
-import sys
-import time
 from enum import IntEnum
-from typing import Any
 
 import msgpack
 import pytest
-import zmq
 
 from taxeld.door.heard import as_pose
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.freshness import Why
-from taxeld.stream import client, topics, values
+from taxeld.stream import topics, values
 from tests.rig.configurations import configuration, served
-from tests.rig.recorded import LiveSkin
+from tests.rig.processes import TAXELD
+from tests.rig.recorded import LiveSkin, Said, said_of
 
 from ..rig.stream_page import Types, documented, leaves, section
 
@@ -24,46 +20,19 @@ PERIOD_S = 0.02  # a brisk session
 
 
 @pytest.fixture(scope="module")
-def heard(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, Any]]]:
-    """All that a daemon sends and answers while its skin is touched, by topic and command."""
+def heard(tmp_path_factory: pytest.TempPathFactory) -> Said:
+    """All that a daemon sends and answers while its skin is touched."""
     place = tmp_path_factory.mktemp("run")
     publish = {"publish": {**served(place)["publish"], "counts": True}}
-    received: dict[str, list[dict[str, Any]]] = {}
-    with (
-        LiveSkin(place, touches=4, period_s=PERIOD_S, rest=100) as skin,
-        zmq.Context() as context,
-        context.socket(zmq.SUB) as socket,
-    ):
+    asks = dict.fromkeys(COMMANDS, topics.PARTICLES.decode())
+    with LiveSkin(place, touches=4, period_s=PERIOD_S, rest=100) as skin:
         path = configuration(place, source=skin.source, **publish)
-        command = [sys.executable, "-m", "taxeld.cli", "run", str(path)]
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.setsockopt(zmq.SUBSCRIBE, b"")
-        socket.connect(f"ipc://{place}/stream")
-        with subprocess.Popen(command) as daemon:
-            try:
-                deadline = time.monotonic() + 60.0
-                while not (skin.has_ended and "info" in received):
-                    assert time.monotonic() < deadline, "the skin does not end"
-                    assert daemon.poll() is None
-                    if socket.poll(20):
-                        topic, body, _ = socket.recv_multipart()
-                        received.setdefault(topic.decode(), []).append(msgpack.unpackb(body))
-                    if topics.PARTICLES.decode() in received and "status" not in received:
-                        for name in COMMANDS:
-                            answer = client.ask(f"ipc://{place}/control", name, timeout_s=20.0)
-                            assert answer is not None
-                            received[name] = [answer]
-                daemon.terminate()
-                assert daemon.wait() == 0
-            finally:
-                daemon.kill()
-    return received
+        done = lambda said: skin.has_ended and said["info"]  # noqa: E731
+        return said_of(place, [*TAXELD, "run", str(path)], asks, done)[0]
 
 
 @pytest.mark.parametrize("topic", [topic.decode() for topic in topics.TOPICS])
-def test_each_message_has_the_documented_keys_and_types(
-    heard: dict[str, list[dict[str, Any]]], topic: str
-) -> None:
+def test_each_message_has_the_documented_keys_and_types(heard: Said, topic: str) -> None:
     keys, example = documented(topic)
     sent: Types = {}
     for message in heard[topic]:
@@ -77,7 +46,7 @@ def test_each_message_has_the_documented_keys_and_types(
     assert leaves(example) == keys
 
 
-def test_the_commands_answer_what_is_documented(heard: dict[str, list[dict[str, Any]]]) -> None:
+def test_the_commands_answer_what_is_documented(heard: Said) -> None:
     part = section("control")
     for name in COMMANDS:
         (answer,) = heard[name]

@@ -1,17 +1,23 @@
 """An idle skin that is then touched: as a recorded session, or live."""
 
+import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
+import msgpack
 import numpy as np
 
+from taxeld.stream import client
 from taxeld_protocol.frames import format_log_line
 from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.rig.clocks import until
 from tests.rig.configurations import QUIET, Table, configuration
 from tests.rig.skins import CHANNELS, MODULES
+from tests.rig.sockets import Sockets
 from tests.rig.virtual_hub import VirtualHub, frames_of, told
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
@@ -73,6 +79,41 @@ class LiveSkin(threading.Thread):
     def __exit__(self, *_: object) -> None:
         self._stops.set()
         self.join()
+
+
+Said = dict[str, list[dict[str, Any]]]
+
+
+def said_of(
+    place: Path, command: list[str], asks: dict[str, str], done: Callable[[Said], object]
+) -> tuple[Said, str]:
+    """All that a daemon which serves in `place` sends, by topic, until `done`, its answers, by the
+    name of what is asked once a message of a topic has come, and what it prints."""
+    said: Said = defaultdict(list)
+    with Sockets() as sockets:
+        socket = sockets.subscriber(f"ipc://{place}/stream")
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
+
+            def heard() -> object:
+                assert daemon.poll() is None
+                if socket.poll(20):
+                    topic, body, _ = socket.recv_multipart()
+                    said[topic.decode()].append(msgpack.unpackb(body))
+                for name, after in asks.items():
+                    if said[after] and not said[name]:
+                        answer = client.ask(f"ipc://{place}/control", name, timeout_s=20.0)
+                        assert answer is not None
+                        said[name] = [answer]
+                return done(said)
+
+            try:
+                until(heard)
+                daemon.terminate()
+                printed, _ = daemon.communicate()
+            finally:
+                daemon.kill()
+        assert daemon.returncode == 0
+    return {name: messages for name, messages in said.items() if messages}, printed
 
 
 def write_golden(place: Path) -> None:

@@ -44,7 +44,6 @@ def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path
 def test_a_replay_gives_the_same_bytes_twice(ran: tuple[Path, str]) -> None:
     first = replayed(ran[0])
     assert first == replayed(ran[0])
-    assert first != replayed(ran[0], "--seed", "77")
     estimates = [json.loads(line) for line in first.splitlines()]
     assert estimates[-1]["contacts"] == 2
     assert [e["seq"] for e in estimates] == list(range(len(estimates)))
