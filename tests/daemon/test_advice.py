@@ -13,9 +13,10 @@ from taxeld.advice import hypotheses, lines
 from taxeld.advice.advice import MOST, Advice, Advisor, Approach
 from taxeld.advice.lines import FELT_M, Reach
 from taxeld.advice.outcomes import Outcomes
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
+from taxeld.estimator import particles as pf
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.likelihood import NumpyExplainer
@@ -261,3 +262,77 @@ MODELS: dict[str, ObservationModel] = {}
 def models(box_model: ObservationModel) -> None:
     """For hypothesis, whose tests take no fixtures with a long `repr`."""
     MODELS["box"] = box_model
+
+
+TURNED = se2.compose(TRUTH, np.array([0.0, 0.0, np.pi]))  # the handle is on the other side
+
+
+class NoSamples:
+    """A proposal without samples: all that is learned is what a belief made by hand is left."""
+
+    name = "table"
+
+    def propose(self, z: np.ndarray, live: np.ndarray, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
+        return np.empty((0, 3))
+
+
+def torn(model: ObservationModel) -> Estimator:
+    """A belief in TRUTH and TURNED alike, and in little beside them."""
+    subject = Estimator(
+        model, NoSamples(), FilterConfig(), beside=[NoSamples()] * (len(model.links) - 1)
+    )
+    rule, n = subject.rule, subject.config.particles
+    off = np.random.default_rng(0).standard_normal((n, 3)) * (0.001, 0.001, 0.01)
+    pose = off + np.where((np.arange(n) % 2 == 0)[:, None], TRUTH, TURNED)
+    rule.belief = pf.equal(pose, rule.memory.explain(pose))
+    return subject
+
+
+@pytest.fixture
+def _both(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What advice takes for possible: both, a little spread."""
+    off = np.random.default_rng(1).standard_normal((20, 3)) * (0.001, 0.001, 0.01)
+    pose = off + np.repeat([TRUTH, TURNED], 10, axis=0)
+    made = hypotheses.Guesses(pose, np.zeros(20, np.intp), np.full(20, 0.05), 0)
+    monkeypatch.setattr(hypotheses, "drawn", lambda *_: made)
+
+
+def share_right(model: ObservationModel, approach: Approach) -> float:
+    """The belief in TRUTH after an approach."""
+    subject, world = torn(model), World(model)
+    follow(world, subject, approach)
+    rule = subject.rule
+    return float(rule.belief.weight[rule.metric.distance(rule.belief.pose, TRUTH) < 0.01].sum())
+
+
+@pytest.mark.usefixtures("_both")
+def test_an_advised_touch_tells_apart_what_one_touch_can(skin: Layout) -> None:
+    model = handled(skin)
+    (best, *_) = asked(torn(model)).approaches
+    assert best.p_sure > 0.95
+    assert share_right(model, best) > 0.9
+
+
+@pytest.mark.usefixtures("_both")
+def test_a_link_whose_skin_faces_away_is_not_advised_though_it_would_come_first(
+    skin: Layout,
+) -> None:
+    """Neither link may turn, and the handle is met from one side alone: by the back of the first
+    link, which feels nothing there, and by the second one's skin."""
+
+    def only(of: Bools) -> Layout:
+        return replace(
+            skin, uid=skin.uid[of], position_m=skin.position_m[of], normal=skin.normal[of]
+        )
+
+    right = skin.normal[:, 0] > 0.3
+    ahead = (float(np.degrees(TRUTH[2])) + 180.0,)  # onto the handle, from outside
+    config = Reach(directions_deg=ahead, yaw_deg=(0.0, 0.0))
+    for layouts, feels in (((right, ~right), 1), ((~right, right), 0)):
+        first, second = map(only, layouts)
+        model = handled(first, second)
+        best, *_ = asked(torn(model), config).approaches
+        assert best.link == feels
+        assert best.p_sure > 0.95
+        alone = handled((first, second)[1 - feels])
+        assert asked(torn(alone), config).approaches[0].p_sure < 0.5

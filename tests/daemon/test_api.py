@@ -93,11 +93,6 @@ def test_a_seed_takes_the_place_of_the_sessions_own(place: Path) -> None:
     assert last(None) == last(5) != last(6)
 
 
-def test_a_session_that_is_not_there_is_one_line_that_names_it(tmp_path: Path) -> None:
-    with pytest.raises(api.SetupError, match=f"^{tmp_path}/none: is no session"):
-        api.Replay(tmp_path / "none")
-
-
 def test_the_notebook_goes_from_a_session_to_a_picture_of_the_belief(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,10 +9,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from taxeld import cli
-from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig, SourceConfig
-from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.skin.skin import Skin
 from taxeld.source import session
@@ -22,7 +19,7 @@ from taxeld_protocol.array import FULL, REST, ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Scan
 from tests.rig.array_skin import LAYOUT, ArraySkin
 from tests.rig.clocks import until
-from tests.rig.configurations import configuration, toml
+from tests.rig.configurations import configuration
 from tests.rig.pressed_box import TRUTH
 from tests.rig.processes import free_port, replayed, taxeld
 from tests.rig.sessions import items_of
@@ -169,14 +166,6 @@ def test_a_source_without_arrays_says_why(connected: bool, reason: str, words: s
     assert source.waits_for.startswith(words)
 
 
-@pytest.mark.parametrize(
-    "endpoint", ["", "tcp://10.0.0.2:9870", "tcp://127.0.0.1", "udp://127.0.0.1:9870", "skin"]
-)
-def test_arrays_are_heard_on_this_machine_alone(endpoint: str) -> None:
-    with pytest.raises(SetupError, match=r"^source\.endpoint: '"):
-        parse(toml(source={"kind": "array", "endpoint": endpoint}, scene={"bundle": "box"}))
-
-
 @pytest.mark.check
 def test_a_skin_that_sends_arrays_can_be_accepted(tmp_path: Path) -> None:
     endpoint, out = f"ipc://{tmp_path}/skin", tmp_path / "out"
@@ -184,11 +173,3 @@ def test_a_skin_that_sends_arrays_can_be_accepted(tmp_path: Path) -> None:
         what = ["accept", f"array:{endpoint}", "--layout", LAYOUT, "--out", str(out)]
         assert hil.main([*what, "--seconds", "5"]) == 0
     assert items_of(out)
-
-
-def test_init_writes_the_configuration_of_an_array(tmp_path: Path) -> None:
-    path = tmp_path / "array.toml"
-    options = ("--source", "array:ipc:///skin", "--bundle", "box", "--poses", "")
-    assert cli.main(["init", str(path), *options, "--where", "0", "0", "0.5"]) == 0
-    source = parse(path.read_text(encoding="utf-8")).source
-    assert (source.kind, source.endpoint) == ("array", "ipc:///skin")

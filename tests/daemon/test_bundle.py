@@ -15,8 +15,6 @@ from taxeld.config.tables import FilterConfig, SceneConfig, SkinConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle, choice, manifest
-from tests.rig.commands import refused
-from tests.rig.recorded import golden, write_golden
 
 from .conftest import DEPTH_MAX_M
 
@@ -120,29 +118,18 @@ def of_another_skin(box: Path) -> None:
         # bundle.json is none
         (content("bundle.json", b""), "bundle.json: Expecting value"),
         (content("bundle.json", b"[]"), "bundle.json: is of format None, not 3"),
-        (content("bundle.json", b"\xff"), "bundle.json: 'utf-8' codec"),
-        (content("bundle.json", b"[" * 100_000), "bundle.json: maximum recursion"),
-        (content("bundle.json", b"9" * 9999), "bundle.json: Exceeds the limit"),
         # bundle.json makes no sense
         (about(format=2), "is of format 2, not 3 ('taxeld-train seal' turns 2 into 3)"),
         (about(lambda info: info.pop("object")), "object: is required; build the bundle again"),
-        (about(object="a\nb"), "object: must be a line of text, not"),
-        (about(height_m=10**400), "height_m: must be a number, not 1"),
-        (about(depth_max_m=np.nan), "depth_max_m: must be a number, not"),
         (about(depth_max_m=0.04), "was built for 0.04; set it to that"),
-        (about(layout=[]), "layout: must be a table, not []"),
         (about(lambda info: info["layout"].pop("digest")), "layout.digest: is required"),
         (about(layout={"name": "wrap", "digest": "77"}), "box is for the layout wrap (77), not fo"),
-        (about(samplers={}), "samplers: must be a list of tables ([[samplers]] in TOML), not {}"),
         (sampler("kind", "magic"), "samplers[0].kind: must be one of density, ddpm, not 'magic'"),
         (sampler("file", "other.onnx"), "files has no SHA-256 of 'other.onnx'"),
         (about(files={}), "no SHA-256 of 'scene.npz'"),
         (about(files={"../x": ""}), "'../x' is no file's name"),
-        (about(files={"\0": ""}), "'\\x00' is no file's name"),
         (about(auto=["density-1"]), "auto: no such proposal or sampler"),
-        (about(filter=[]), "filter: must be a table, not []"),
         (about(filter={"particles": 1}), "filter.particles: must be 2..100000, not 1"),
-        (about(filter={"injected": True}), "filter.injected: must be an integer, not True"),
         # the scene is none
         (flipped("scene.npz", 0.0), "scene.npz: unusable scene (No data"),
         (flipped("scene.npz", 0.5), "scene.npz: unusable scene ("),
@@ -153,7 +140,6 @@ def of_another_skin(box: Path) -> None:
         (scene(centre=np.array([np.nan, 0.0])), "centre is not finite"),
         (scene(outline=np.zeros((2, 2))), "no outline"),
         (scene(cell=np.nan), "cell is not within"),
-        (scene(cell=np.ones(2)), "scene.npz: unusable scene (can only convert"),
         (scene(symmetry=10**9), "symmetry is not within"),
         (
             scene(slices=FAR, silhouette=FAR[0], heights=np.linspace(-0.03, 0.03, 5)),
@@ -168,13 +154,6 @@ def of_another_skin(box: Path) -> None:
 def test_a_bundle_that_cannot_be_used_is_one_line(box: Path, change: Change, said: str) -> None:
     change(box)
     assert said in fault(box)
-
-
-@pytest.mark.parametrize("command", ["check", "run"])
-def test_a_command_ends_with_that_line(box: Path, command: str) -> None:
-    flipped("scene.npz")(box)
-    write_golden(box.parent)
-    assert "is damaged" in refused(command, golden(box.parent, scene={"bundle": box}))
 
 
 @pytest.mark.parametrize("name", ["party", "n" * 5000])

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from taxeld_protocol import cyskin
 from tests.rig.commands import printed, refused
 from tests.rig.recorded import golden, write_golden
 
@@ -20,26 +19,6 @@ DECLARED = "501#3C0301000C8C"  # one module of 12 channels
 def place(tmp_path: Path) -> Path:
     write_golden(tmp_path)
     return tmp_path
-
-
-def test_decode_of_the_golden_frames_reads_10000_to_10011(tmp_path: Path) -> None:
-    log = tmp_path / "golden.log"
-    log.write_text("\n".join(["5FF#3C00D2", *GOLDEN_SCAN, DECLARED]) + "\n", encoding="ascii")
-    scan, stats = map(json.loads, printed("decode", log).splitlines())
-    assert scan == {"t": 0.0, "ihb": 1, "modules": [list(range(10000, 10012))]}
-    assert stats["stats"]["frames"] == 6
-    assert stats["stats"]["packets"] == 3
-    assert stats["stats"]["scans"] == 1
-
-
-def test_decode_takes_the_module_table_from_the_log_wherever_it_stands(tmp_path: Path) -> None:
-    """Twelve values over modules of 5 and 7, declared only after the scan."""
-    (declare,) = cyskin.to_frames(0x3C, bytes((2, 0, 5, 7)), ihb=1)
-    log = tmp_path / "late.log"
-    line = f"{declare.can_id:03X}#{declare.data.hex()}"
-    log.write_text("\n".join([*GOLDEN_SCAN, line]), encoding="ascii")
-    scan = json.loads(printed("decode", log).splitlines()[0])
-    assert scan["modules"] == [list(range(10000, 10005)), list(range(10005, 10012))]
 
 
 def test_decode_loses_only_what_is_damaged_and_counts_every_frame(tmp_path: Path) -> None:

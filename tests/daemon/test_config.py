@@ -31,21 +31,14 @@ def faults(text: str) -> list[str]:
     return error.value.faults
 
 
-def test_a_minimal_configuration_has_every_default() -> None:
-    config = parse(MINIMAL)
-    assert config.source.interface == "socketcan"
-    assert config.filter.particles == 100
-    assert config.publish.endpoints == ("ipc:///run/taxeld/stream",)
-
-
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
         ("", "source: is required"),
         (SOURCE + "chanel = 'x'", "source.chanel: unknown key; did you mean channel?"),
         ("[source]\nkind = 'usb'", "source.kind: must be one of can, serial, array, not 'usb'"),
-        ("[source]\nkind = 7", "source.kind: must be a line of text, not 7"),
         ("[source]\nkind = 'serial'", "source.channel: is required for kind 'serial'"),
+        ("[source]\nkind = 'array'\nendpoint = 'tcp://10.0.0.2:1'", "source.endpoint: 'tcp://10."),
         (SOURCE + "modules = [7]", "source.modules[0]: must be a list, not 7"),
         (SOURCE + "modules = [[7]]", "source.modules: [7]: must be [SUI, mask], or all [SUI, ma"),
         (SOURCE + "modules = [[7, 0x1000]]", "source.modules: [7, 4096]: 0x1000 is no mask"),
@@ -55,16 +48,10 @@ def test_a_minimal_configuration_has_every_default() -> None:
         (SOURCE + "modules = [[7, 1], [8, 1, 1]]", "source.modules: [8, 1, 1]: must be [SUI, mas"),
         (MINIMAL + "[speed]\na = 1", "speed: unknown key"),
         (MINIMAL + "[loop]\nrate_hz = 0", "loop.rate_hz: must be 1..1000, not 0"),
-        (MINIMAL + "[loop]\nrate_hz = nan", "loop.rate_hz: must be a number, not nan"),
-        (MINIMAL + f"[loop]\nrate_hz = {'9' * 400}", "loop.rate_hz: must be a number, not 9999"),
-        (MINIMAL + f"[loop]\nrate_hz = 1{'0' * 400}.0", "loop.rate_hz: must be a number, not inf"),
         (MINIMAL + '[loop]\n"a\\nb" = 1', "loop.a?b: unknown key"),
         (MINIMAL + "[log]\nlevel = 'loud'", "log.level: must be one of debug, info, warning, err"),
-        (MINIMAL + '[log]\nlevel = "lo\\nud"', "log.level: must be a line of text, not 'lo\\nud'"),
-        (MINIMAL + "[filter]\nparticles = 1.5", "filter.particles: must be an integer, not 1.5"),
         (MINIMAL + "[filter]\nwithin_m = 10", "filter.within_m: must be 0.001..0.1, not 10"),
         (MINIMAL + "[filter]\ncentre_m = [1]", "filter.centre_m: must be a list of 2, not [1]"),
-        (MINIMAL + "[filter]\ncentre_m = [1, true]", "filter.centre_m[1]: must be a number, not"),
         (
             MINIMAL + f"[filter]\nseed = 0x{'f' * 9999}",
             "filter.seed: must be an integer, not so large an integer",

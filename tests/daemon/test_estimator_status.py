@@ -13,7 +13,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import Activation, Observation, ObservationModel
 from taxeld.proposals.analytic import Manifold
-from tests.rig.pressed_box import TRUTH, World, approach, box_side, estimator, settled
+from tests.rig.pressed_box import TRUTH, World, box_side, estimator, settled
 from tests.rig.scenes import Distance, box, disc, scene_of
 
 ELSEWHERE = np.array([-0.1, 0.1, 2.0])
@@ -125,19 +125,6 @@ def test_where_only_dead_taxels_would_feel_it_is_blind_until_a_scan_tells_more(
     for t, far in ((0.0, 0.0), (0.05, 5.0), (0.1, 1e9), (0.15, 0.0)):
         at = sensor + np.array([far, 0.0, 0.0])
         assert subject.on_scan(replace(scan, t=scan.t + t), at).status is Status.BLIND
-
-
-def test_a_sensor_that_jumps_is_not_believed_until_it_stays(box_model: ObservationModel) -> None:
-    subject = estimator(box_model)
-    approach(subject, box_model)
-    updates, far = subject.counters.updates, np.array([7.0, 0.0, 0.0])
-    silent = Activation(1.0, np.zeros(32), np.ones(32, dtype=bool))
-    subject.on_scan(silent, far)
-    assert subject.counters.jumps == 1
-    assert subject.counters.updates == updates
-    subject.on_scan(replace(silent, t=1.05), far)
-    assert subject.counters.jumps == 1
-    assert subject.counters.updates == updates + 1
 
 
 def test_a_pushed_object_of_which_the_place_was_known_is_found_by_fewer_contacts(

@@ -13,7 +13,7 @@ import pytest
 
 from taxeld.config.file import load, parse
 from taxeld.config.gate import keys_of
-from taxeld.config.tables import Config
+from taxeld.config.tables import Config, SkinConfig
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 from taxeld.source.sources import live
@@ -43,6 +43,16 @@ def test_what_is_written_from_options_is_fine(
     assert (config.source.kind, config.source.interface) == ("can", "slcan")
     assert config.source.channel == str(tmp_path / "ttyACM0")
     assert config.sensor_pose.endpoint == "tcp://127.0.0.1:9874"
+
+
+def test_an_array_and_a_skin_without_an_object_have_a_configuration(tmp_path: Path) -> None:
+    array, alone = tmp_path / "array.toml", tmp_path / "alone.toml"
+    printed("init", array, *FLAGS[2:4], "--source", "array:ipc:///skin", "--poses", "")
+    source = load(array).source
+    assert (source.kind, source.endpoint) == ("array", "ipc:///skin")
+    layout = SkinConfig().layout
+    printed("init", alone, "--source", "can:can0", "--layout", layout)
+    assert (load(alone).scene.names, load(alone).skin.layout) == ((), layout)
 
 
 def test_a_skin_too_large_for_the_usual_period_gets_one_that_the_bus_carries(

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from taxeld.commands.layout import arc_rad, pitch_m, tilted
+from taxeld.commands.layout import pitch_m, tilted
 from taxeld.errors import SetupError
 from taxeld.layout import fit
 from taxeld.layout import read as layouts
@@ -137,28 +137,6 @@ def test_text_that_is_no_layout_is_one_line_with_the_cure(spec, words):
 
 
 class TestFit:
-    def test_finds_an_arc_wherever_it_stands_in_the_file(self):
-        position, normal = arc(180.0)
-        turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
-        turn *= np.linalg.det(turn)
-        placed = position @ turn.T + [0.3, -0.2, 1.0]
-        found = fit.cylinder(placed, normal @ turn.T)
-        assert found.radius_m == pytest.approx(0.07, abs=1e-9)
-        rotation, shift = found.frame[:3, :3], found.frame[:3, 3]
-        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(rotation) == pytest.approx(1.0)
-        there = placed @ rotation.T + shift
-        np.testing.assert_allclose(np.hypot(*there[:, :2].T), 0.07, atol=1e-9)
-
-    def test_origin_is_at_mid_height_and_x_points_to_the_middle_of_an_arc(self):
-        position, normal = arc(120.0)
-        normal[::3] *= -1.0
-        found = fit.cylinder(position + np.array([0.5, 0.0, 0.0]), normal)
-        expected = np.eye(4)
-        expected[:3, 3] = -0.5, 0.0, -0.028
-        np.testing.assert_allclose(found.frame, expected, atol=1e-9)
-        assert found.inwards.tolist() == [i % 3 == 0 for i in range(len(normal))]
-
     def test_a_full_turn_keeps_the_files_own_axis_as_angle_0(self):
         position, normal = arc(360.0 * 19 / 20)
         found = fit.cylinder(position, normal)
@@ -197,13 +175,6 @@ class TestFit:
 
 
 class TestSummary:
-    def test_arc_is_what_the_taxels_cover(self):
-        for degrees in (90.0, 178.0, 270.0):
-            position, normal = arc(degrees)
-            skin = Layout("arc", np.arange(len(normal)), position, normal, 0.07)
-            assert math.degrees(arc_rad(skin)) == pytest.approx(degrees)
-        assert arc_rad(layouts.load(DEFAULT)) == 2.0 * math.pi
-
     def test_pitch_leaves_out_taxels_at_the_same_place_and_tilted_normals_are_counted(self):
         position, normal = arc(180.0)
         for i, angle in ((0, 35.0), (1, 25.0)):

@@ -151,16 +151,10 @@ AT = "skin.taxels[12]"
             (changed(lambda _, taxels, k=key, v=value: taxels[12].update({k: v})), words)  # type: ignore[misc]
             for key, value, words in (
                 ("id", None, f"{AT}.id: must be an integer, not None; correct it, or mark"),
-                ("id", True, f"{AT}.id: must be an integer"),
-                ("id", "53777", f"{AT}.id: must be an integer"),
                 ("id", -2, f"{AT}.id: must be -1..6.87195e+10, not -2"),
                 ("id", 1 << 36, f"{AT}.id: must be "),
                 ("id", 3 << 4 | NAMES, f"{AT}.id: 60 is taxel 12 of its module, which has"),
-                ("cut", "no", f"{AT}.cut: must be an integer"),
                 ("x", [0.1, 0.2], f"{AT}.x: must be a list of 3, not [0.1, 0.2]; correct it"),
-                ("x", [0.1, 0.2, "0"], f"{AT}.x[2]: must be a number, not '0'"),
-                ("x", [0.1, math.nan, 0], f"{AT}.x[1]: must be a number, not nan"),
-                ("x", [0.1, 10**400, 0], f"{AT}.x[1]: must be a number, not 1000"),
                 ("x", None, f"{AT}: needs x and n; correct it"),
                 ("x", [0.0, 9e15, 0.0], "taxels span 9e+15, too far"),
                 ("n", [1e-300, 0, 0], "taxel 67: the normal must not be zero; correct it"),
@@ -177,8 +171,6 @@ AT = "skin.taxels[12]"
         ({"info": {"file_version": 2}}, "info, skin: must be objects"),
         ({"info": {"file_version": 1}, "skin": {}}, "info.file_version: must be 2, not 1"),
         (b"", "is not JSON"),
-        (b"[" * 100_000, "is not JSON"),
-        (b'{"info": ' + b"1" * 5000 + b"}", "is not JSON"),
         (b"\x80PNG", "is not UTF-8 text"),
     ],
 )

@@ -20,12 +20,12 @@ ZEROS = "0 0 0 -0.000 0 0"
 OWN = [12 * (i // 12) + 3 for i in SLOTS]  # each slot's triangle is one of the common kind
 
 
-def rows(normal: str = "") -> list[str]:
-    """Four triangles in rows of twelve around half a circle, with their own normals or this one."""
+def rows() -> list[str]:
+    """Four triangles in rows of twelve around half a circle."""
     angles = [math.pi * (i % 12) / 11 for i in SLOTS]
     return [
         f"{0.006 * (i // 12)}\t{RADIUS_M * math.cos(a)} {RADIUS_M * math.sin(a)} "
-        + (normal or f"0 {math.cos(a)} {math.sin(a)}")
+        f"0 {math.cos(a)} {math.sin(a)}"
         for i, a in enumerate(angles)
     ]
 
@@ -61,18 +61,6 @@ def test_a_row_is_a_taxel_as_taxel2repr_says(middles: list[int] | None, left: li
     lines = rows()
     lines[13] = ZEROS
     assert slots_of(lines, middles) == [i for i in left if i != 13]
-
-
-@pytest.mark.parametrize("normal", ["", "0 0 0", "1 0 0", "0 0.5 0"])
-def test_where_a_file_has_one_normal_for_all_the_positions_tell_them(
-    tmp_path: Path, normal: str
-) -> None:
-    """Official files have none, or the same for all taxels of a round link."""
-    true = converted(tmp_path, "[calibration]\n" + "\n".join(rows()))
-    assert true.uid.tolist() == [i // 12 << 4 | i % 12 for i in SLOTS]
-    skin = converted(tmp_path, "[calibration]\n" + "\n".join(rows(normal)))
-    assert skin.radius_m == pytest.approx(RADIUS_M, rel=0.02)
-    assert (np.einsum("ij,ij->i", skin.normal, true.normal) > 0.8).all()
 
 
 @pytest.mark.parametrize(

@@ -385,13 +385,6 @@ class FarEnd:
                     os.write(self._slave, bytes(4096))
             time.sleep(0.01)
 
-    def read(self) -> bytes:
-        data = b""
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                data += os.read(self._fd, 65536)
-        return data
-
     def close(self) -> None:
         os.close(self._fd)
         os.close(self._slave)
@@ -430,25 +423,6 @@ def test_a_line_whose_far_end_stops_reading_makes_no_tick_wait(
         source.poll(tick * TICK_S)
     assert 30 <= source.counters.unsent <= 3 * 2000 * TICK_S / 0.5
     assert source.counters.lost == 0
-    source.close()
-
-
-def test_requests_go_out_again_and_whole_once_the_far_end_reads(far_end: FarEnd) -> None:
-    source = open_source(of_kind(NATIVE, far_end.device), SKIN)
-    source.poll(0.0)
-    far_end.read()
-    far_end.fill()
-    for tick in range(100, 1000):
-        source.poll(tick * TICK_S)
-    reader = SerialReader()
-    reader.feed(far_end.read() + b"\0", 0.0)
-    damaged = reader.counters.crc_errors + reader.counters.length_errors
-    packets = []
-    for tick in range(1000, 1200):
-        source.poll(tick * TICK_S)
-        packets += reader.feed(far_end.read(), 0.0)
-    assert packets[0].command == Command.DISCOVERY_PING
-    assert reader.counters.crc_errors + reader.counters.length_errors == damaged
     source.close()
 
 

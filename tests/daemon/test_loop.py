@@ -28,7 +28,6 @@ from taxeld_protocol.decoder import Scan
 from tests.rig.clocks import Clock, until
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.sockets import Sockets
-from tests.rig.stream_page import documented
 
 
 @pytest.fixture
@@ -44,43 +43,6 @@ def settings(place: Path) -> str:
         f'[scene]\nbundle = "box"\n[publish]\nendpoints = ["ipc://{place}/stream"]\n'
         f'[control]\nendpoint = "ipc://{place}/control"\n'
     )
-
-
-def test_subscribers_hear_what_plotjuggler_plots_and_clients_are_answered(
-    daemon: Daemon, tmp_path: Path
-) -> None:
-    """Topic, one map of plain types with string keys and no trailing bytes, a time in text."""
-
-    def goes_on() -> None:
-        now = time.monotonic()
-        daemon.pipeline.freshness.came(now)  # however long the daemon has taken to open
-        daemon.tick(now)
-
-    with Sockets() as sockets:
-        socket = sockets.subscriber(f"ipc://{tmp_path}/stream", topics.ESTIMATE)
-        asked = sockets.open(zmq.REQ)
-        asked.connect(f"ipc://{tmp_path}/control")
-        until(lambda: socket.poll(5), goes_on)
-        topic, body, stamp = socket.recv_multipart()
-        asked.send(msgpack.packb({"cmd": "reset"}))
-        until(lambda: asked.poll(5), goes_on)
-        assert msgpack.unpackb(asked.recv()) == {"ok": True}
-    assert topic == b"/taxeld/estimate"
-    message = msgpack.unpackb(body)
-    assert message.keys() == documented("/taxeld/estimate")[1].keys()
-    assert plain(message)
-    assert float(stamp) >= 0.0
-    assert stamp.decode().split(".")[1].isdigit()
-    assert (message["status"], message["valid"]) == (0, False)
-    assert list(message["lat_us"]) == ["source", "skin", "propose", "filter", "publish", "total"]
-
-
-def plain(value: object) -> bool:
-    if isinstance(value, dict):
-        return all(isinstance(key, str) and plain(item) for key, item in value.items())
-    if isinstance(value, list):
-        return all(map(plain, value))
-    return isinstance(value, (bool, int, float))
 
 
 class Heard(list[tuple[bytes, dict[str, Any]]]):

@@ -1,7 +1,5 @@
 """Priors: what is none, what they do to a belief, and how touches refute them."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -27,13 +25,9 @@ def prior(**keys: object) -> PosePrior:
 @pytest.mark.parametrize(
     ("keys", "says"),
     [
-        ({"x": math.nan}, "x: must be a number, not nan"),
-        ({"x": "0.1"}, "x: must be a number, not '0.1'"),
         ({"x": None}, "x: is required"),
-        ({"x": 10**400}, "x: must be a number, not 1"),
         ({"y": 400.0}, "y: must be -10..10 m, not 400"),
         ({"theta": 90.0}, "theta: must be -9.5..9.5 rad, not 90"),
-        ({"theta": math.nan}, "theta: must be a number, not nan"),
         ({"cov": [0.02, 0.02]}, "cov: must be a list of 3"),
         ({"cov": [[1e-4, 0, 0], [0, 1e-4, 0], [0, 0]]}, "cov[2]: must be a list of 3, not [0, 0]"),
         ({"cov": [[1e-4, 1e-3, 0], [1e-3, 1e-4, 0], [0, 0, 1e-2]]}, "cov: is not symmetric and"),
@@ -41,7 +35,6 @@ def prior(**keys: object) -> PosePrior:
         ({"cov": [-0.02, 0.02, 0.1]}, "cov[0]: must be a list of 3, not -0.02; give 3 standard"),
         ({"cov": [1e-9, 0.02, 0.1]}, "cov: standard deviations: from"),
         ({"weight": 1.0}, "weight: must be 0.01..0.95, not 1"),
-        ({"object": 7}, "object: must be a line of text, not 7"),
         ({"object": "a" * 100}, "object: has more than 64 characters"),
         ({"zeta": 1.0}, "zeta: unknown key; did you mean theta"),
     ],

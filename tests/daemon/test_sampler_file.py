@@ -68,8 +68,6 @@ def test_a_sampler_gives_poses() -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", ""),
-        (b"junk", ""),
         (graph()[:200], ""),
         (graph(z=(1, TAXELS + 1)), f"is not for a skin of {TAXELS} taxels"),
         (graph(layout='"77"'), f"is for the layout 77, not for {SKIN.name}"),

@@ -232,12 +232,6 @@ def test_what_came_of_several_links_stands_in_one_session_and_comes_back_in_orde
     assert poses_of(tmp_path, 2) == [pose]
 
 
-def test_a_number_that_was_cut_is_no_number(tmp_path: Path) -> None:
-    path = tmp_path / session.POSES
-    path.write_text("t,x,y,theta\n1.0,0.1,0.2,0.3\n2.0,0.1,0.2,0.312", encoding="ascii")
-    assert session.read_poses(path) == [(1.0, 0.1, 0.2, 0.3)]
-
-
 def test_zeros_that_a_power_cut_left_at_the_end_are_no_record(tmp_path: Path) -> None:
     """As file systems do that have stored a file's length before what is in it."""
     for transport in ("can", "native"):
@@ -255,6 +249,7 @@ def test_zeros_that_a_power_cut_left_at_the_end_are_no_record(tmp_path: Path) ->
     [
         ("can", session.FRAMES, b"(1.0) can0 1\n", r"line 8 is no candump line"),
         ("can", session.POSES, b"1.5,0.2\n", r"line 8 is not t,x,y,theta"),
+        ("can", session.POSES, b"1.5,nan,0,0\n", r"line 8 is not t,x,y,theta"),
         ("array", session.ARRAY, b"[]\n", r"line 8 is no array .it is no map"),
         ("native", session.SERIAL_TIMES, b"t,row\n", r"line 8 is not t,offset"),
         ("native", session.SERIAL_TIMES, b"2.0,nine\n", r"line 8 is not t,offset"),
@@ -314,9 +309,6 @@ def test_a_session_without_a_version_is_read_as_the_first(tmp_path: Path) -> Non
     [
         ("version = 3\n", "is of version 3"),
         ('bytes = "9"\n', "damaged"),
-        (f"bytes = {'9' * 5000}\n", "damaged"),
-        (f"version = 0x{'f' * 9999}\n", "damaged"),
-        ("frames = " + "[" * 100_000 + "\n", "damaged"),
     ],
 )
 def test_a_session_of_a_newer_version_is_refused_in_one_line(

@@ -1,4 +1,4 @@
-"""Signals to a real daemon: none ends it but those that should, and those end it in order."""
+"""What an operator and a service manager tell a daemon, and what it tells them."""
 
 import contextlib
 import json
@@ -7,19 +7,16 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.rig.clocks import until
+from taxeld.service.notify import Notifier
+from tests.rig.clocks import Clock, until
 from tests.rig.configurations import QUIET, configuration
 from tests.rig.logged import warnings
-
-from .test_notify import environ
-
-pytestmark = pytest.mark.check
+from tests.rig.processes import taxeld
 
 DEADLINE_S = 60.0
 
@@ -86,9 +83,10 @@ def daemon(tmp_path: Path) -> Iterator[Running]:
 
 
 USR = (signal.SIGUSR1, signal.SIGUSR2)
-SURVIVED = (*USR, signal.SIGALRM, signal.SIGHUP, signal.SIGPIPE)
+SURVIVED = (*USR * 100, signal.SIGALRM, signal.SIGHUP, signal.SIGPIPE)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("at_once", [False, True])
 def test_no_signal_of_an_operator_ends_a_daemon_but_those_that_should(
     daemon: Running, at_once: bool
@@ -102,19 +100,16 @@ def test_no_signal_of_an_operator_ends_a_daemon_but_those_that_should(
     assert daemon.ends_by(signal.SIGTERM) == 0
 
 
+@pytest.mark.check
 @pytest.mark.smoke
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])
-def test_who_ends_a_daemon_ends_it_in_order(daemon: Running, number: int) -> None:
+def test_a_daemon_says_how_it_is_and_ends_in_order(daemon: Running, number: int) -> None:
+    said = [daemon.manager.recv(4096).decode() for _ in range(3)]
+    status = "STATUS=starting, not valid, contacts 0, overruns 0"
+    assert sorted(said) == [status, "WATCHDOG=1", "WATCHDOG=1"]
     assert daemon.ends_by(number) == 0
+    assert heard(daemon.manager)[-1] == "STOPPING=1"
     assert all(line.startswith("status: stale") for line in daemon.log())
-
-
-def test_usr1_ends_no_daemon_however_often_it_comes(daemon: Running) -> None:
-    for _ in range(1000):
-        daemon.send(signal.SIGUSR1)
-        assert daemon.process.poll() is None
-        time.sleep(0.0005)
-    assert daemon.ends_by(signal.SIGTERM) == 0
 
 
 @pytest.fixture
@@ -132,6 +127,7 @@ def full_pipe() -> Iterator[int]:
     os.close(theirs)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     ("number", "status"),
     [(signal.SIGTERM, 0), (signal.SIGXCPU, -signal.SIGXCPU), (signal.SIGABRT, -signal.SIGABRT)],
@@ -145,6 +141,7 @@ def test_standard_error_that_nobody_reads_stops_neither_the_loop_nor_its_end(
         assert daemon.ends_by(number) == status
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("redirect", ["2>&-", "<&- >&- 2>&-"], ids=["stderr", "all"])
 def test_a_standard_stream_that_is_closed_leads_nowhere(tmp_path: Path, redirect: str) -> None:
     with contextlib.closing(Running(tmp_path, redirect=redirect)) as daemon:
@@ -156,12 +153,14 @@ def test_a_standard_stream_that_is_closed_leads_nowhere(tmp_path: Path, redirect
         assert daemon.ends_by(signal.SIGTERM) == 0
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("number", [signal.SIGXCPU, signal.SIGABRT])
 def test_a_loop_that_does_not_pause_says_where_it_is_and_ends(daemon: Running, number: int) -> None:
     assert daemon.ends_by(number) == -number
     assert any("service/clock.py" in line or "service/loop.py" in line for line in daemon.log())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     ("tables", "begin", "end"),
     [
@@ -182,3 +181,90 @@ def test_hup_takes_the_log_level_of_a_configuration_without_faults(
     line = daemon.wait_for("log.level")
     assert line.removeprefix(f"{daemon.config.parent}/").startswith(begin)
     assert line.endswith(end)
+
+
+@pytest.fixture
+def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[socket.socket]:
+    """A service manager's socket, in the file system or in the abstract name space."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as bound:
+        abstract = getattr(request, "param", "path") == "abstract"
+        bound.bind(f"\0taxeld-test-{os.getpid()}" if abstract else str(tmp_path / "notify"))
+        bound.settimeout(DEADLINE_S)
+        yield bound
+
+
+def environ(manager: socket.socket, **more: str) -> dict[str, str]:
+    name = manager.getsockname()
+    return {"NOTIFY_SOCKET": f"@{name[1:].decode()}" if isinstance(name, bytes) else name, **more}
+
+
+def heard(manager: socket.socket) -> list[str]:
+    manager.setblocking(False)
+    messages = []
+    try:
+        while True:
+            messages.append(manager.recv(4096).decode())
+    except BlockingIOError:
+        return messages
+
+
+def ticks(notifier: Notifier, seconds: float) -> None:
+    """A loop at 100 Hz on a fake clock."""
+    clock = Clock()
+    while clock.now < seconds:
+        notifier.tick(clock.now, lambda now_s: f"{now_s:.1f} s")
+        clock.sleep(0.01)
+
+
+@pytest.mark.parametrize("manager", ["path", "abstract"], indirect=True)
+def test_the_watchdog_is_fed_by_ticks_at_half_its_time_and_the_status_said_each_second(
+    manager: socket.socket,
+) -> None:
+    notifier = Notifier(environ(manager, WATCHDOG_USEC="1000000", WATCHDOG_PID=str(os.getpid())))
+    notifier.ready()
+    ticks(notifier, 2.95)
+    notifier.stopping()
+    said = heard(manager)
+    assert said.count("WATCHDOG=1") == 6
+    others = [message for message in said if message != "WATCHDOG=1"]
+    assert others == ["READY=1", *(f"STATUS={second}.0 s" for second in range(3)), "STOPPING=1"]
+
+
+@pytest.mark.parametrize(
+    "watch", [{}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}]
+)
+def test_without_a_watch_on_this_process_no_sign_of_life_is_sent(
+    manager: socket.socket, watch: dict[str, str]
+) -> None:
+    notifier = Notifier(environ(manager, **watch))
+    ticks(notifier, 2.95)
+    notifier.stopping()
+    assert "WATCHDOG=1" not in heard(manager)
+
+
+def test_a_manager_that_is_slow_or_gone_holds_nobody_up(manager: socket.socket) -> None:
+    notifier = Notifier(environ(manager, WATCHDOG_USEC="20000"))
+    ticks(notifier, 100.0)  # far more than its socket holds
+    first = heard(manager)
+    assert 0 < first.count("WATCHDOG=1") < 10_000
+    ticks(notifier, 100.0)
+    manager.close()
+    ticks(notifier, 1.0)
+    notifier.stopping()
+
+
+@pytest.mark.check
+def test_a_daemon_whose_device_is_away_is_ready_and_says_what_it_waits_for(
+    manager: socket.socket, tmp_path: Path
+) -> None:
+    device, said = tmp_path / "skin", os.environ | environ(manager)
+    config = configuration(tmp_path, source={"kind": "serial", "channel": device})
+    with taxeld("run", config, env=said, stderr=subprocess.PIPE) as process:
+        said = [manager.recv(4096).decode() for _ in range(3)]
+        reason = f"source.channel: cannot open {device} (it is not there; is it plugged in?)"
+        assert said == ["READY=1", *[f"STATUS=waiting, {reason}"] * 2]
+        process.send_signal(signal.SIGTERM)
+        said = warnings(process.communicate(timeout=DEADLINE_S)[1])
+        assert said[0] == f"{reason}; waiting for it"
+        assert all(line.startswith("status: stale") for line in said[1:])
+        assert process.returncode == 0

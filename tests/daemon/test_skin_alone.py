@@ -8,11 +8,9 @@ from typing import Any
 
 import pytest
 
-from taxeld.cli import main
 from taxeld.commands import check, status
 from taxeld.commands.replay import replay
 from taxeld.config.file import load, parse
-from taxeld.config.tables import SkinConfig
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.samples import Samples
 from taxeld.stream import topics
@@ -85,14 +83,6 @@ def test_check_notes_that_nothing_will_be_estimated(tmp_path: Path) -> None:
     whole = load(configuration(tmp_path, **NO_SCENE))
     assert check.faults(whole) == []
     assert check.notes(whole) == [check.ALONE]
-
-
-def test_init_writes_a_configuration_without_an_object(tmp_path: Path) -> None:
-    path = tmp_path / "skin.toml"
-    layout = SkinConfig().layout
-    assert main(["init", str(path), "--source", "can:can0", "--layout", layout]) == 0
-    written = load(path)
-    assert (written.scene.names, written.skin.layout) == ((), layout)
 
 
 def test_each_of_several_links_is_served() -> None:

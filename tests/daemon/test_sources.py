@@ -32,7 +32,7 @@ from taxeld.source.socketcan import SocketCanDevice
 from taxeld.source.sources import SIZES, LiveSource, least_period_ms, open_device, open_source
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.virtual_ihb import Answer, HubLink, VirtualIhb
+from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.conversations import NAMES, hold_host, load
 from tests.rig.given_device import GivenDevice
 from tests.rig.sessions import items_of
@@ -168,19 +168,14 @@ ERROR_FRAMES: list[tuple[str, int, str, list[str]]] = [
     ("lost arbitration in bit 3", 0x002, "03", ["arbitration"]),
     ("controller, unspecified", 0x004, "", ["warning"]),
     ("receive buffer overflow", 0x004, "0001", ["overflow"]),
-    ("transmit buffer overflow", 0x004, "0002", ["overflow"]),
     ("warning level of received", 0x004, "0004", ["warning"]),
-    ("warning level of sent", 0x004, "0008", ["warning"]),
     ("error-passive in receiving", 0x004, "0010", ["passive"]),
     ("error-passive in sending, with counters", 0x204, "0020000000008000", ["passive"]),
     ("error-active again", 0x004, "0040", ["active"]),
-    ("protocol, unspecified", 0x008, "", ["error"]),
     *((f"protocol, bit {n}", 0x008, f"0000{1 << n:02X}", ["error"]) for n in (0, 7)),
     ("no acknowledgement, in its slot", 0x088, "00000019", ["no_ack"]),
-    ("no acknowledgement, its delimiter", 0x008, "0000001B", ["no_ack"]),
     ("a stuff error in the data", 0x088, "0000040A", ["error"]),
     ("transceiver, CAN-H without wire", 0x010, "0000000004", ["transceiver"]),
-    ("transceiver, CAN-L shorted to CAN-H", 0x010, "0000000080", ["transceiver"]),
     ("no acknowledgement", 0x020, "", ["no_ack"]),
     ("bus-off", 0x040, "", ["off"]),
     ("bus error", 0x080, "", ["error"]),
@@ -338,48 +333,30 @@ def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
     bus.shutdown()
 
 
-def test_a_cold_hub_on_a_bus_is_led_out_of_its_bootloader_and_full_buses_are_waited_for(
+def test_what_goes_out_is_recorded_as_candump_would_and_a_full_bus_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The recording has what went out, as candump would."""
-    full, real = True, VirtualBus.send
+    def full(*_: object, **__: object) -> None:
+        raise can.CanOperationError("Transmit buffer full")
 
-    def send(self: Any, message: can.Message, timeout: float | None = None) -> None:
-        if full and message.arbitration_id & 0xFF == BROADCAST:
-            raise can.CanOperationError("Transmit buffer full")
-        real(self, message, timeout)
-
-    monkeypatch.setattr(VirtualBus, "send", send)
-    hub, link, scans, asked = VirtualIhb(MODULES), HubLink(), 0, 0
-    config = SourceConfig(kind="can", interface="virtual", channel="cold")
+    config, session = SourceConfig("can", interface="virtual", channel="cold"), tmp_path / "session"
     with (
         can.Bus(interface="virtual", channel="cold") as bus,
-        Recorder(tmp_path / "session", moves=False) as recorder,
+        Recorder(session, moves=False) as recorder,
     ):
         source = open_source(config, SKIN, recorder)
-        for tick in range(300):
-            answers: list[Answer] = []
-            full = tick < 20
-            for frame in heard(bus):
-                asked += 1
-                request = link.feed(frame)
-                answers += [] if request is None else hub.answer(request._replace(t=0.01 * tick))
-            if hub.due(0.01 * tick):
-                answers += hub.sensor_data(counts(scans))
-                scans += 1
-            for frame in frames_of(answers, hub.short_id):
-                bus.send(message(frame))
-            for scan in source.poll(0.01 * tick):
-                assert list(scan.counts) == counts(scan.counts[0] // 1000)
-        assert scans > 10
-        assert source.counters.unsent == 0
+        for tick in range(100):
+            with monkeypatch.context() as patched:
+                if tick < 20:
+                    patched.setattr(VirtualBus, "send", full)
+                source.poll(0.01 * tick)
         source.close()
-        asked += len(heard(bus))
-    frames = [item for item in items_of(tmp_path / "session") if isinstance(item, Frame)]
-    assert frames[0]._replace(t=0.0) == SILENT
-    assert sum(f.can_id & 0xFF == BROADCAST for f in frames) <= asked
-    text = (tmp_path / "session" / "frames.log").read_text(encoding="ascii")
-    assert text.split("\n")[0].endswith(" can0 17FFFFFF#013B00004F6D17")
+        sent = heard(bus)
+    assert source.counters.unsent == 0
+    assert sent[0] == SILENT
+    assert [item._replace(t=0.0) for item in items_of(session)] == sent  # type: ignore[call-arg]
+    line, *_ = (session / "frames.log").read_text(encoding="ascii").split("\n")
+    assert line.endswith(" can0 17FFFFFF#013B00004F6D17")
 
 
 @pytest.mark.parametrize(("behind_s", "kept"), [(0.02, True), (7200.0, True), (1e8, False)])

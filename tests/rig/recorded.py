@@ -97,7 +97,8 @@ def said_of(
             def heard() -> object:
                 assert daemon.poll() is None
                 if socket.poll(20):
-                    topic, body, _ = socket.recv_multipart()
+                    topic, body, stamp = socket.recv_multipart()
+                    assert stamp.decode().partition(".")[2].isdigit()
                     said[topic.decode()].append(msgpack.unpackb(body))
                 for name, after in asks.items():
                     if said[after] and not said[name]:
