@@ -8,7 +8,7 @@ import can
 
 from taxeld.config.tables import SourceConfig
 from taxeld.layout import read as layouts
-from taxeld.source.sources import open_source
+from taxeld.source.opening import open_source
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.frames import Frame

@@ -13,7 +13,7 @@ from taxeld.config.tables import SkinConfig, SourceConfig
 from taxeld.estimator.estimate import Status
 from taxeld.skin.skin import Skin
 from taxeld.source import session
-from taxeld.source.sources import open_source
+from taxeld.source.opening import open_source
 from taxeld_hil import cli as hil
 from taxeld_protocol.array import FULL, REST, ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Scan

@@ -25,7 +25,7 @@ from taxeld.config import endpoints
 from taxeld.config.file import load
 from taxeld.errors import SetupError
 from taxeld.source.device import AwayError
-from taxeld.source.sources import open_source
+from taxeld.source.opening import open_source
 from taxeld.stream import client
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import QUIET, Table, configuration

@@ -20,8 +20,9 @@ import pytest
 from taxeld.config.tables import SourceConfig
 from taxeld.source.bus_faults import BusFault
 from taxeld.source.lines import SerialLine
+from taxeld.source.opening import open_device, open_source
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import LiveSource, open_device, open_source
+from taxeld.source.sources import LiveSource
 from taxeld_hil.rig.adapters import KINDS, Adapter
 from taxeld_hil.rig.ports import SlcanPort
 from taxeld_protocol.cyskin import Command, Packet

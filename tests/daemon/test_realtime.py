@@ -14,7 +14,7 @@ import pytest
 from taxeld.config.tables import SourceConfig
 from taxeld.layout import read as layouts
 from taxeld.service import realtime
-from taxeld.source.sources import open_source
+from taxeld.source.opening import open_source
 from tests.rig.processes import python
 
 

@@ -27,9 +27,10 @@ from taxeld.config.tables import SourceConfig
 from taxeld.source import bus_faults, socketcan
 from taxeld.source.bus_faults import PASSED_S, BusFault
 from taxeld.source.device import LostError
+from taxeld.source.opening import open_device, open_source
 from taxeld.source.recorder import Recorder
 from taxeld.source.socketcan import SocketCanDevice
-from taxeld.source.sources import SIZES, LiveSource, least_period_ms, open_device, open_source
+from taxeld.source.sources import SIZES, LiveSource, least_period_ms
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb

@@ -160,7 +160,7 @@ class Run:
             "taxeld.source.recorder.threading": world.writers,
             "taxeld.service.kept.threading": world.writers,
             "taxeld.source.recorder.FileIO": File,
-            "taxeld.source.sources.open_device": lambda *_: SimulatedDevice(world),
+            "taxeld.source.opening.open_device": lambda *_: SimulatedDevice(world),
         }
         with contextlib.ExitStack() as patches:
             for name, fake in fakes.items():

@@ -20,8 +20,9 @@ from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file
 from taxeld.source.device import AwayError, BusyError
 from taxeld.source.links import check_uids, joint
+from taxeld.source.opening import open_device
 from taxeld.source.socketcan import bring_up
-from taxeld.source.sources import live, open_device
+from taxeld.source.sources import live
 from taxeld.stream import client, curve
 
 SYS_NET = Path("/sys/class/net")

@@ -7,9 +7,8 @@ time, and is never held in memory. A damaged line of text costs only itself.
 import json
 import logging
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,10 +17,9 @@ from taxeld.config import gate
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError, one_line
 from taxeld.source import modules, session
-from taxeld.source.modules import ListedModules
+from taxeld.source.modules import ListedModules, RecordedModules
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Chunk, Frame, parse_logged
-from taxeld_protocol.modules import Module
 
 OTHERS = (".asc", ".blf", ".csv", ".db", ".gz", ".mf4", ".trc")  # formats that python-can knows
 KNOWN = "candump -l and -L, and serial.bin are read"
@@ -77,28 +75,18 @@ def decode(path: Path, listed: Listed = ()) -> Iterator[str]:
 
     Raises:
         SetupError: the log is unreadable or has no frame, or frames of several interfaces, or no
-            hub's table is known. Scans before that place have been yielded.
+            hub's table is known.
     """
     if path.exists() and not path.is_file():
         raise SetupError(
             f"{path}: is no file; name a log, or of a session its frames.log or serial.bin"
         )
-    given = ListedModules(listed)
 
-    @cache  # needed only for a hub that streams before it has declared its modules
-    def declared() -> dict[int, Sequence[Module]]:
-        decoder = Decoder()
-        for item in _items(path, Damage()):
-            any(decoder.take([item] if item else []))
-        return {ihb: hub.table.modules for ihb, hub in decoder.hubs.items() if hub.table.declared}
+    def items() -> Iterator[Frame | Chunk]:
+        return (item for item in _items(path, Damage()) if item is not None)
 
-    def table_of(ihb: int) -> Sequence[Module]:
-        found = declared().get(ihb) or given.of(ihb)
-        if not (found or declared() or given):
-            raise SetupError(modules.missing(f"hub {ihb} of {path}"))
-        return found
-
-    damage, decoder = Damage(), Decoder(table_of)
+    known = RecordedModules(ListedModules(listed), items, str(path), placed=False)
+    damage, decoder = Damage(), Decoder(known.of)
     for item in _items(path, damage):
         if item is None:
             decoder.drop_foreign()

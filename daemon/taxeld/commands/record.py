@@ -5,18 +5,18 @@ It is a process of its own that brings the skin up; `taxeld run --record` record
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from taxeld.config.tables import Config, SourceConfig
+from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
-from taxeld.layout.layout import Layout
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.service.doorkeeper import Doorkeeper, poses_alone
 from taxeld.source import modules
+from taxeld.source.opening import open_source, open_sources
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source, open_source, open_sources, polled
+from taxeld.source.sources import Source, polled
 from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Decoder, Scan
 
@@ -67,16 +67,12 @@ class Recording:
             numbers = range(len(config.names))
             tracks = [PoseTrack(partial(recorder.pose, link=k)) for k in numbers]
             link = Link({}, lambda *pose: tracks[pose[4]].add(*pose[:4], time.time()), {})
-
-            def open_one(one: SourceConfig, skins: Mapping[int, Layout]) -> Source:
-                source = open_source(one, skins, recorder)
-                opened.callback(source.close)
+            skins = [layouts.load(one.skin.layout) for one in config.each]
+            open_one = partial(open_source, recorder=recorder)
+            sources = open_sources(config, skins, open_one, opened)
+            for source in sources:
                 if source.comes_by_door:
                     link.on_array = source.hear
-                return source
-
-            skins = [layouts.load(one.skin.layout) for one in config.each]
-            sources = open_sources(config, skins, open_one)
             door.wait(link)
             while not self.stopping and not self.failed:
                 now_s = time.monotonic()

@@ -71,13 +71,7 @@ GONE: dict[str, str] = {
     "--endpoint": "name the endpoint in place of CONFIG",
     "--stream": "name the endpoint in place of CONFIG",
     "--keys": "set TAXELD_KEYS=DIR in the environment",
-    "taxeld prior --yaw": "say --at X Y YAW",
-    "taxeld prior --object": "the command prior of the control endpoint takes an object",
     "taxeld calibrate --config": "write what is to change into the session's config.toml",
-    "--yaw-deg": "taxeld.api.advise takes all that a robot can do",
-    "--directions-deg": "taxeld.api.advise takes all that a robot can do",
-    "--clearance-m": "taxeld.api.advise takes all that a robot can do",
-    "--depth-m": "taxeld.api.advise takes all that a robot can do",
     "taxeld export": "run taxeld-ros2 and record its topics with 'ros2 bag'",
 }
 

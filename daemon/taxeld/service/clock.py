@@ -86,11 +86,6 @@ class Ticker:
         self._began_s = since_s + missed * self._period_s
 
 
-def is_step(by: float) -> bool:
-    """Whether a clock that has gained `by` seconds was stepped."""
-    return abs(by) >= STEP_S
-
-
 class WallClock:
     """Unix time, read once a tick."""
 
@@ -106,4 +101,4 @@ class WallClock:
             return wall, 0.0
         by = wall - self._before[0] - (before - self._before[1])
         self._before = wall, before
-        return wall, by if is_step(by) else 0.0
+        return wall, by if abs(by) >= STEP_S else 0.0

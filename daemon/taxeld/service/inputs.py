@@ -4,14 +4,12 @@ latter (docs/troubleshooting.md has more mistakes, by the counts of `taxeld stat
 import contextlib
 import math
 from collections import deque
-from collections.abc import Mapping
+from functools import partial
 
-from taxeld.config.tables import SourceConfig
-from taxeld.layout.layout import Layout
 from taxeld.pipeline.poses import FAR_M
 from taxeld.service.prepare import Prepared
+from taxeld.source.opening import open_source, open_sources
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source, open_source, open_sources
 from taxeld.stream.link import Link, PeerLine
 
 LOOKS = 5  # looks at the poses, a second each, over which their rate and clock are judged
@@ -99,22 +97,21 @@ class Inputs:
         Raises:
             SetupError: one of them cannot be used.
         """
-
-        def open_one(config: SourceConfig, skins: Mapping[int, Layout]) -> Source:
-            source = open_source(config, skins, recorder, wait=True)
-            opened.callback(source.close)
-            if source.comes_by_door:
-                link.on_array = source.hear
-            return source
-
         self._names = made.config.names
         self.watch = PoseWatch(
             made.config.sensor_pose.endpoint, made.config.source.period_ms / 1000.0
         )
         # that of the first link first
-        self.sources = open_sources(made.config, made.layouts, open_one)
-        self.come_by_door = any(source.comes_by_door for source in self.sources)
+        self.sources = open_sources(
+            made.config,
+            made.layouts,
+            partial(open_source, recorder=recorder, wait=True),
+            opened,
+        )
+        self.come_by_door = False
         for source in self.sources:
+            if source.comes_by_door:
+                self.come_by_door, link.on_array = True, source.hear
             wirings = [made.pipeline.stages[k].skin.wiring for k in source.links.numbers]
             for wiring in wirings:
                 wiring.neighbours = {sui for each in wirings for sui in each.suis}

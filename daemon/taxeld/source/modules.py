@@ -48,14 +48,20 @@ class RecordedModules:
     """The modules found in a recording, or listed by `source.modules`."""
 
     def __init__(
-        self, given: ListedModules, items: Callable[[], Iterable[Frame | Chunk]], what: str
+        self,
+        given: ListedModules,
+        items: Callable[[], Iterable[Frame | Chunk]],
+        what: str,
+        *,
+        placed: bool = True,
     ) -> None:
-        """`items` reads the recording; `what`: its name in messages.
+        """`items` reads the recording; `what`: its name in messages. Unless its taxels are to be
+        `placed`, a DECLARE alone tells a hub's modules.
 
         Raises:
             SetupError: the modules of the first scan are unknown.
         """
-        self._given, self._items, self._what = given, items, what
+        self._given, self._items, self._what, self._is_placed = given, items, what, placed
         any(scans for _, scans in Decoder(self.of).take(items()))  # up to the first scan
 
     def of(self, ihb: int) -> list[Module]:
@@ -75,7 +81,7 @@ class RecordedModules:
         decoder = Decoder()
         for _ in decoder.take(self._items()):
             pass
-        return _placed(decoder)
+        return _placed(decoder) if self._is_placed else _declared(decoder)
 
 
 def recorded(
@@ -136,9 +142,14 @@ def complete(decoder: Decoder) -> dict[int, list[Module]]:
     return {ihb: t.modules for ihb, t in tables.items() if t.detailed and not t.fault}
 
 
+def _declared(decoder: Decoder) -> dict[int, list[Module]]:
+    """Short id → modules, for the hubs that declared any."""
+    return {ihb: hub.table.modules for ihb, hub in decoder.hubs.items() if hub.table.declared}
+
+
 def _placed(decoder: Decoder) -> dict[int, list[Module]]:
-    """Short id → modules, for the hubs that declared any; an undeclared module has no taxels."""
-    tables = {ihb: hub.table.modules for ihb, hub in decoder.hubs.items()}
+    """The same, where one of them at least told its serial number: else no taxel has a place."""
+    tables = _declared(decoder)
     return {ihb: t for ihb, t in tables.items() if any(m.sui is not None for m in t)}
 
 

@@ -1,5 +1,4 @@
-"""Sources of scans: a CAN interface, a serial line, or an array, and the links whose taxels they
-read.
+"""Sources of scans: a hub's bus or line, or an array.
 
 A source is polled at every pass of the loop and never blocks. A device that is gone, or not there
 yet, is opened again with growing pauses, and the skin on it is brought up anew; damaged input is
@@ -7,7 +6,6 @@ counted.
 """
 
 import contextlib
-import difflib
 import logging
 import math
 import time
@@ -16,18 +14,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from taxeld.config.tables import Config, SourceConfig
+from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.source import modules
 from taxeld.source.bring_up import BringUp, Request
 from taxeld.source.bus_faults import BusHealth
 from taxeld.source.device import AwayError, Device, LostError, Noticed
-from taxeld.source.lines import SerialDevice, SlcanDevice
-from taxeld.source.links import LinkTable, check_uids, joint
+from taxeld.source.links import LinkTable, joint
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Item
-from taxeld.source.socketcan import SocketCanDevice
 from taxeld_protocol import cyskin
 from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Decoder, Scan
@@ -41,7 +37,6 @@ STOPPED_S = 0.25  # time without a poll after which the loop had been stopped,
 STOPPED_PERIODS = 2  # or these scan periods, if they are longer
 SIZES = 8  # scans that tell how large the next may be
 FRAME_BITS = 116  # a frame with 8 bytes and a short id, with the stuff bits of usual readings
-INTERFACE_MAX = 15  # characters of an interface's name (IFNAMSIZ)
 HELD_MAX = 256  # arrays between two polls; beyond, the oldest are lost
 SILENT_S = 1.0  # without a good array for so long, a line says why
 LINES_MAX = 20  # different lines on arrays that are logged, each once: others would be hidden
@@ -107,74 +102,9 @@ class Source:
         """Stop the skin and close the device, if there is one."""
 
 
-Open = Callable[[SourceConfig, Mapping[int, Layout]], Source]
-
-
-def open_sources(config: Config, layouts: Sequence[Layout], open_one: Open) -> list[Source]:
-    """All sources, that of the first link first; `layouts` of each link. `open_one` is given a
-    source, and the layouts on it by the numbers of their links.
-
-    Raises:
-        SetupError: two layouts of one source have the same taxels, or `open_one` raises it.
-    """
-    found = list[Source]()
-    for source, numbers in config.buses:
-        check_uids([config.names[k] for k in numbers], [layouts[k] for k in numbers])
-        found.append(open_one(source, {k: layouts[k] for k in numbers}))
-    return found
-
-
 def polled(sources: Sequence[Source], now_s: float) -> list[Scan]:
     """The scans of all links that have come by the monotonic time `now_s`."""
     return [scan for source in sources for scan in source.links.of(source.poll(now_s))]
-
-
-def open_source(
-    config: SourceConfig,
-    skins: Layout | Mapping[int, Layout],
-    recorder: Recorder | None = None,
-    *,
-    wait: bool = False,
-) -> Source:
-    """The configured source of one skin, or of those of several links by their numbers. `recorder`
-    gets all frames or bytes of the wire. With `wait`, a missing or busy device is opened as soon as
-    possible, instead of raising.
-
-    Raises:
-        SetupError: the device cannot be opened.
-    """
-    on_it = {0: skins} if isinstance(skins, Layout) else skins
-    if config.kind == "array":
-        return ArraySource(config, on_it, recorder)
-    return LiveSource(config, on_it, open_device, recorder, wait=wait)
-
-
-def open_device(config: SourceConfig) -> Device:
-    """The configured device, opened.
-
-    Raises:
-        AwayError: it is missing or busy.
-        SetupError: it can never be opened with this configuration.
-    """
-    if config.kind == "serial":
-        return SerialDevice(config)
-    if config.interface == "slcan":
-        return SlcanDevice(config)
-    if config.interface == "socketcan":
-        if "/" in config.channel or len(config.channel) > INTERFACE_MAX:
-            raise SetupError(
-                f"source.channel: {config.channel} is no name of a CAN interface, as can0 is; for "
-                'an SLCAN adapter set source.interface = "slcan"'
-            )
-        return SocketCanDevice(config)
-    # python-can takes a tenth of the start's time and memory, so it is imported only if needed
-    from taxeld.source.can_device import INTERFACES, CanDevice  # noqa: PLC0415
-
-    if config.interface not in INTERFACES:
-        near = difflib.get_close_matches(config.interface.lower(), INTERFACES, 1)
-        hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(INTERFACES)}"
-        raise SetupError(f"source.interface: python-can knows no '{config.interface}'; {hint}")
-    return CanDevice(config)
 
 
 def live(config: SourceConfig, layout: Layout) -> tuple[Decoder, BringUp | None]:

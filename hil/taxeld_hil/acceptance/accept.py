@@ -19,8 +19,9 @@ from taxeld.layout.layout import Layout
 from taxeld.service.doorkeeper import array_heard
 from taxeld.source import modules
 from taxeld.source.device import BusyError
+from taxeld.source.opening import open_source
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source, open_source
+from taxeld.source.sources import Source
 from taxeld_hil.acceptance.checks import rules
 from taxeld_hil.acceptance.press import pressed_by_hand
 from taxeld_hil.acceptance.received import Received, Say, receive

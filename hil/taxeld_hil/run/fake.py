@@ -4,6 +4,7 @@ Its process, its sockets and the kernel's devices are not part of it: a run in r
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 from taxeld.config.tables import Config, SourceConfig
@@ -15,8 +16,9 @@ from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration, SkinState
 from taxeld.source.device import Device, LostError
+from taxeld.source.opening import open_sources
 from taxeld.source.session import Item
-from taxeld.source.sources import ArraySource, LiveSource, Source, open_sources, polled
+from taxeld.source.sources import ArraySource, LiveSource, Source, polled
 from taxeld.stream import messages
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.rig import Rig
@@ -123,7 +125,7 @@ class FakeDaemon:
         self.pipeline = Pipeline(config, skins, models, samples, calibration=given)
         left = iter(lines)
         self.sources = open_sources(
-            config, skins, lambda source, on_it: _source(source, on_it, next(left))
+            config, skins, lambda source, on_it: _source(source, on_it, next(left)), ExitStack()
         )
         self._lines, self._start_s = lines, lines[0].now
         self._names = list(bundle.scenes(scenes))
