@@ -14,7 +14,6 @@ from functools import partial
 from typing import Any
 
 from taxeld.config.tables import Config
-from taxeld.errors import SetupError
 from taxeld.prior import PosePrior
 from taxeld.proposals import bundle
 from taxeld.service import realtime
@@ -89,11 +88,7 @@ class Daemon:
         self.stopping = True
 
     def run(self, between: Callable[[], None] = lambda: None) -> None:
-        """Run until `stop`; `between` is called between two passes.
-
-        Raises:
-            SetupError: the source reports that no scan can ever be used.
-        """
+        """Run until `stop`; `between` is called between two passes."""
         notifier, pipeline = Notifier(), self.pipeline
         try:
             realtime.trim()
@@ -125,9 +120,6 @@ class Daemon:
             openings = sum(s.counters.unopened + s.counters.reopened for s in sources)
             collector.tick(now, openings, pressed=self.pipeline.is_touched)
             between()
-            fault = next((source.fault for source in sources if source.fault), "")
-            if fault:
-                raise SetupError(fault)
             ready = self._wait(ticker)
 
     def _wait(self, ticker: Ticker) -> Ready:

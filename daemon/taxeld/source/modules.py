@@ -18,7 +18,6 @@ from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module, listed
 
 FILE = "modules.toml"
-UNPLACED_S = 2.0  # time for which a hub may stream before a listener hears of its modules
 CURE = (
     f"list them as [SUI, mask] in the order in which the hub sends them: 'taxeld record' and "
     f"'taxeld-hil accept' write that list ({FILE}) where they start the skin themselves"
@@ -81,7 +80,7 @@ class RecordedModules:
         decoder = Decoder()
         for _ in decoder.take(self._items()):
             pass
-        return _placed(decoder) if self._is_placed else _declared(decoder)
+        return placed(decoder) if self._is_placed else _declared(decoder)
 
 
 def recorded(
@@ -115,27 +114,6 @@ def given(config: SourceConfig, layout: Layout) -> ListedModules:
     return ListedModules(config.modules)
 
 
-class Listening:
-    """Whether a listener can place the data that it hears."""
-
-    def __init__(self, decoder: Decoder) -> None:
-        self._decoder = decoder
-        self._since_s: float | None = None  # time when data without a place were first seen
-        self._can = False
-
-    def fault(self, now_s: float) -> str:
-        """A line on why no scan can be used; empty where some can."""
-        counters = self._decoder.counters
-        if self._can or not (counters.undeclared or counters.scans):
-            return ""
-        self._can = bool(_placed(self._decoder))
-        if self._since_s is None:
-            self._since_s = now_s
-        if self._can or now_s - self._since_s < UNPLACED_S:  # the host may be asking just now
-            return ""
-        return missing(f"hub {next(iter(self._decoder.hubs))}")
-
-
 def complete(decoder: Decoder) -> dict[int, list[Module]]:
     """Short id → modules, for the hubs that declared all of theirs, and are not refused."""
     tables = {ihb: hub.table for ihb, hub in decoder.hubs.items()}
@@ -147,7 +125,7 @@ def _declared(decoder: Decoder) -> dict[int, list[Module]]:
     return {ihb: hub.table.modules for ihb, hub in decoder.hubs.items() if hub.table.declared}
 
 
-def _placed(decoder: Decoder) -> dict[int, list[Module]]:
+def placed(decoder: Decoder) -> dict[int, list[Module]]:
     """The same, where one of them at least told its serial number: else no taxel has a place."""
     tables = _declared(decoder)
     return {ihb: t for ihb, t in tables.items() if any(m.sui is not None for m in t)}

@@ -62,7 +62,6 @@ class Source:
     comes_by_door = False  # whether its frames come by the door, which gives them to `hear`
     is_busy = False  # whether it must be polled at every tick, as no descriptor would wake the loop
     waits_for = ""  # a line on why no scans come; empty where nothing is amiss
-    fault = ""  # a line on why no scan can ever be used; empty where nothing is amiss
     firmware: Mapping[str, str] = MappingProxyType({})  # short id of a hub → its versions, in words
 
     def __init__(
@@ -164,7 +163,7 @@ class LiveSource(Source):
         decoder, self._bring_up = live(config, joint(list(skins.values())))
         super().__init__(decoder, skins, recorder)
         self._open: Callable[[], Device] = lambda: device(config)
-        self._listening = modules.Listening(decoder)
+        self._is_placed = False  # whether a hub that is listened to has told its modules
         # requests that the device has not taken yet, and when each is given up
         self._requests = deque[tuple[float, Request]]()
         self._held: list[Frame | Chunk] = []  # items read from the device and not decoded yet
@@ -255,7 +254,7 @@ class LiveSource(Source):
             lacks = self._ask(self._bring_up, scans, now_s)
             device.is_starting = self._bring_up.is_starting
         else:
-            self.fault, lacks = self._listening.fault(now_s), self.decoder.refusal
+            lacks = self.decoder.refusal or self._unplaced()
         device.tend(now_s)
         noticed, device.noticed = device.noticed, Noticed()
         self.bus.take(noticed.bus, now_s)
@@ -273,6 +272,15 @@ class LiveSource(Source):
             self.counters.late += len(scans)
             scans = []
         return scans
+
+    def _unplaced(self) -> str:
+        """A line where hubs are heard to stream and none has told its modules; else empty."""
+        counters = self.decoder.counters
+        if self._is_placed or not (counters.undeclared or counters.scans):
+            return ""
+        self._is_placed = bool(modules.placed(self.decoder))
+        hub = next(iter(self.decoder.hubs))
+        return "" if self._is_placed else modules.missing(f"hub {hub}")
 
     def _hear(self, now_s: float, *, is_late: bool) -> list[Scan]:
         """Decode the items that were gathered, or that wait in the device; → scans. Raises
