@@ -5,14 +5,16 @@ experiment cut short goes on where it stopped. The harness and the training both
 """
 
 import contextlib
+import functools
 import hashlib
 import json
 import math
 import os
 import sys
+import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -22,9 +24,8 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass
-from functools import cache
 from importlib import resources
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from taxeld.command_line import ONE_THREAD
 from taxeld.errors import SetupError
 
 PATIENCE = "10s"  # longest wait for a Dask scheduler's answer
+_GIVEN: list[Any] = []  # in a worker: what it was given when it began
 NAME_LENGTH = 60  # characters of a job's name in its file's name; a key's hash tells jobs apart
 
 
@@ -54,7 +56,7 @@ class Job:
         return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
-@cache
+@functools.cache
 def code(decides: tuple[str, ...]) -> str:
     """Hash of the files that decide a result, as this process first found them; `decides` are
     patterns of their paths, which begin with a package."""
@@ -114,8 +116,6 @@ def run(
             if time.monotonic() < until:
                 keep(job, _work(job))
         return results
-    for name in ONE_THREAD:
-        os.environ.setdefault(name, "1")  # inherited by the workers
     pools = _on_dask(workers) if isinstance(workers, str) else _in_processes(count)
     with pools as (pool, places):
         _run_all(todo, pool, places, until, keep)
@@ -179,16 +179,55 @@ def _writing(memory: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def _in_processes(workers: int) -> Iterator[tuple[Executor, Callable[[], int]]]:
     """Processes of this machine, and how many there are."""
-    pool = ProcessPoolExecutor(workers, get_context("spawn"))
-    try:
+    with _processes(workers, None, ": try again with --workers 1; finished jobs are kept") as pool:
         yield pool, lambda: workers
+
+
+def beside(
+    work: Callable[[Any, Any], Any], given: Any, items: Iterable[Any], workers: int
+) -> Iterator[Any]:
+    """`work(given, item)` of each item in its order, by so many processes, to each of which `given`
+    travels once; by this one alone if it is one.
+
+    Raises:
+        SetupError: a worker died.
+    """
+    if workers == 1:
+        yield from (work(given, item) for item in items)
+        return
+    with _processes(workers, given) as pool:
+        yield from pool.map(functools.partial(_with_given, work), items)
+
+
+@contextlib.contextmanager
+def _processes(workers: int, given: Any, cure: str = "") -> Iterator[Executor]:
+    """Processes of one thread each that end when this one does, however it ends."""
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")  # inherited by the workers
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin, (given,))
+    try:
+        yield pool
     except BrokenExecutor:
-        raise SetupError(
-            "a worker process died, perhaps for want of memory: try again with --workers 1; "
-            "finished jobs are kept"
-        ) from None
+        raise SetupError(f"a worker process died, perhaps for want of memory{cure}") from None
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin(given: Any) -> None:
+    """Begin a worker. It would wait for work for ever if its parent were killed."""
+    _GIVEN.append(given)
+
+    def end() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()
+
+
+def _with_given(work: Callable[[Any, Any], Any], item: Any) -> Any:
+    return work(_GIVEN[-1], item)
 
 
 @contextlib.contextmanager

@@ -109,7 +109,8 @@ class TestTurns:
     [
         ("", "no known layout"),
         ("sphere:rows=1", "no known layout"),
-        ("skin.xml", "no known layout"),
+        ("ur.jsn", "ur.jsn: unreadable (No such file"),
+        (__file__, "no known layout"),
         ("cylinder", "no known layout"),
         ("cylinder:", "unknown key; known: rows, columns, radius_m, pitch_m, sui"),
         ("cylinder:rows=5", "columns: is required; use 'cylinder:rows=5,columns=16,rad"),
@@ -122,7 +123,7 @@ class TestTurns:
         ("wrap:modules=11,radius_m=0.1", "modules: must be even, as they alternate, not 11"),
         ("wrap:modules=12,radius_m=0.03", "radius_m: must be at least 0.0382 for 12 modules"),
         ("wrap:modules=248,radius_m=2,rows=2", "modules × rows: must be at most 248"),
-        ("nowhere/skin.json", "nowhere/skin.json: unreadable (No such file"),
+        ("nowhere/skin", "nowhere/skin: unreadable (No such file"),
         ("x" * 5000 + ".json", "unreadable"),
         ("\0.txt", "skin.layout"),
     ],

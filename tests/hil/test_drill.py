@@ -26,7 +26,8 @@ RING = "cylinder:rows=4,columns=12,radius_m=0.04,pitch_m=0.015"
 
 def built(place: Path, name: str, layout_name: str, depth_m: float) -> Path:
     """A bundle, but for the training of its samplers: the daemon looks up simulated contacts."""
-    bundles.bare(name, layouts.load(layout_name), HEIGHT_M, depth_m, place)
+    with bundles.replacing(place) as made:
+        bundles.write(name, [(layouts.load(layout_name), HEIGHT_M)], depth_m, made)
     return place
 
 

@@ -20,7 +20,6 @@ from tests.rig.skins import SKIN, table_of
 from tests.training.rig import box
 
 MODULES = {"taxeld": "taxeld.cli", "taxeld-train": "taxeld_training.cli"}
-SMALL = shlex.split("--quick --effort 0.01 --contacts 5000 --bank 5000 --readings 4 --trials 2")
 
 
 @pytest.fixture
@@ -59,7 +58,7 @@ def test_the_printed_next_commands_take_a_layout_of_any_uids(layout: Path) -> No
     place = layout.parent
     assert "taxels    80 in" in ran("taxeld", "layout", layout)
     box().export(place / "my box.stl")
-    build = ("taxeld-train", "build", place / "my box.stl", "--layout", layout, *SMALL)
+    build = ("taxeld-train", "build", place / "my box.stl", "--layout", layout, "--table")
     built = ran(*build, "--out", place / "box").splitlines()
     (following,) = (line.removeprefix("next") for line in built if line.startswith("next"))
     run = shlex.split(following)

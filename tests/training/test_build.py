@@ -7,6 +7,9 @@ import os
 import pty
 import re
 import shutil
+import subprocess
+import sys
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,13 +24,16 @@ from taxeld.layout import read as layouts
 from taxeld.model.noise import Noise
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle
+from taxeld_hil.integrity import Claims
+from taxeld_hil.objects import meshes
+from taxeld_training import progress
 from taxeld_training.build import summary
 from taxeld_training.cli import main
 from taxeld_training.filters import touches
-from taxeld_training.jobs import stages
 from taxeld_training.limits import quality
-from taxeld_training.samplers.candidates import choose
-from tests.rig.commands import printed, refused
+from taxeld_training.samplers import candidates
+from taxeld_training.samplers.candidates import Nearness, choose
+from tests.rig.commands import refused
 from tests.rig.processes import read_all
 
 from . import rig
@@ -35,7 +41,17 @@ from . import rig
 pytestmark = pytest.mark.check
 
 SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
+THREE, THIN = (f"cylinder:rows={k},columns=12,radius_m=0.03,pitch_m=0.02" for k in (3, 2))
 DEPTH_M = 0.003
+STAGES = [
+    "1/7 scene",
+    "2/7 contacts",
+    "3/7 training",
+    "4/7 contacts to measure with",
+    "5/7 exact posteriors",
+    "6/7 measuring",
+    "7/7 trials",
+]
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +60,16 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh = rig.box()
     mesh.invert()
     mesh.export(place / "block.stl")
-    arguments = ["build", str(place / "block.stl"), "--layout", SKIN, "--out", str(place / "block")]
-    small = ["--effort", "0.01", "--contacts", "5000", "--bank", "5000", "--readings", "4"]
-    small += ["--depth-mm", f"{1e3 * DEPTH_M:g}", "--ddpm", "--trials", "2", "--foam", "poor"]
+    small = ["--effort", "0.01", "--depth-mm", f"{1e3 * DEPTH_M:g}", "--ddpm", "--foam", "poor"]
+    where = ["--layout", SKIN, "--out", str(place / "block")]
     out, errors = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
-        assert main(arguments + small) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(candidates, "CONTACTS_OF", (5000, 0))
+        patch.setattr(candidates, "BANK_OF", (5000, 0))
+        patch.setattr(candidates, "READINGS_OF", (4, 0))
+        patch.setattr(touches, "FEW", 2)
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+            assert main(["build", str(place / "block.stl"), *where, *small]) == 0
     (place / "out").write_text(out.getvalue(), encoding="utf-8")
     (place / "errors").write_text(errors.getvalue(), encoding="utf-8")
     return place / "block"
@@ -64,6 +84,7 @@ def info(built: Path) -> dict[str, Any]:
 def test_the_bundle_records_what_it_is_made_of_and_how_good_that_is(
     built: Path, info: dict[str, Any]
 ) -> None:
+    """On the foam that was asked for, with as many trials as it says, beside the table."""
     # the copy of the mesh is for the harness, and the daemon never reads it
     assert (built / info["mesh"]).read_bytes() == (built.parent / "block.stl").read_bytes()
     assert info["files"].keys() == {p.name for p in built.iterdir()} - {"bundle.json", info["mesh"]}
@@ -73,37 +94,11 @@ def test_the_bundle_records_what_it_is_made_of_and_how_good_that_is(
     assert 0.0 < info["grid_error_mm"]["rms"] < info["grid_error_mm"]["max"] < 1.0
     assert {s["name"] for s in info["samplers"]} == {"density-64", "density-16", "ddpm-100"}
     for measured in [*info["samplers"], *info["analytic"].values()]:
-        assert np.isfinite(measured["energy_distance"])
+        low, high = measured["energy_distance_ci"]
+        assert low <= measured["energy_distance"] <= high
         assert measured["ms"] > 0
     assert all(sampler["flops"] > 0 for sampler in info["samplers"])
     assert "exact draws" in info["measured"]
-
-
-def test_a_build_that_is_piped_prints_a_line_a_stage(built: Path) -> None:
-    lines = (built.parent / "errors").read_text(encoding="utf-8").splitlines()
-    stages = [line for line in lines if re.match(r"\d/\d ", line)]
-    assert [line.split(":")[0] for line in stages] == [
-        "1/7 scene",
-        "2/7 contacts",
-        "3/7 training",
-        "4/7 contacts to measure with",
-        "5/7 exact posteriors",
-        "6/7 measuring",
-        "7/7 trials",
-    ]
-    assert all(re.search(r": \d+ s$", line) for line in stages)
-
-
-def test_a_build_ends_with_what_it_made_how_good_and_what_to_do_next(built: Path) -> None:
-    text = (built.parent / "out").read_text(encoding="utf-8")
-    heads = [line[:11].strip() for line in text.splitlines() if not line.startswith(" ")]
-    assert heads == ["made", "samplers", "how good", "next", "took"]
-    assert f"made       {built}: block on {SKIN}, " in text
-    assert f"taxeld-hil run demo --object {built} --layout {SKIN} --out block_demo" in text
-
-
-def test_a_bundle_says_in_touches_how_good_it_is(info: dict[str, Any]) -> None:
-    """On the foam that was asked for, with as many trials as it says, beside the table."""
     told = info["touches"]
     assert (told["foam"], told["trials"]) == ("poor", 2)
     for rule in ("found_and_sure", "misleading"):
@@ -119,18 +114,111 @@ def _sampler(info: dict[str, Any]) -> str:
     return next(name for name in info["auto"] if name in trained)
 
 
-def test_trials_are_the_same_by_any_number_of_workers(built: Path) -> None:
-    skin = layouts.load(SKIN)
-    two, three = (
-        touches.counted(built, skin, touches.EndTrials("poor", 2, workers=n), lambda *_: None)
-        for n in (2, 3)
+def test_a_build_prints_its_stages_what_it_made_how_good_and_what_to_do_next(built: Path) -> None:
+    lines = (built.parent / "errors").read_text(encoding="utf-8").splitlines()
+    done = [line for line in lines if re.match(r"\d/\d .*: \d+ s$", line)]
+    assert [line.split(":")[0] for line in done] == STAGES
+    text = (built.parent / "out").read_text(encoding="utf-8")
+    heads = [line[:11].strip() for line in text.splitlines() if not line.startswith(" ")]
+    assert heads == ["made", "samplers", "how good", "next", "took"]
+    assert f"made       {built}: block on {SKIN}, " in text
+    assert f"taxeld-hil run demo --object {built} --layout {SKIN} --out block_demo" in text
+
+
+def test_a_stage_that_takes_long_is_told_of_without_a_terminal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(progress, "MUTE_S", 0.01)
+    said = io.StringIO()
+    with progress.shown(("scene", "training"), said) as tell:
+        tell("scene", 1.0)
+        tell("training", 0.5)
+        while said.getvalue().count("50% after 0 s") < 2:
+            time.sleep(0.01)
+    first, *_ = (line for line in said.getvalue().splitlines() if "%" not in line)
+    assert first == "1/2 scene: 0 s"
+    assert "2/2 training: 50% after 0 s\n2/2 training: 50% after" in said.getvalue()
+
+
+def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
+    ours, theirs = pty.openpty()
+    with (
+        os.fdopen(theirs, "w") as terminal,
+        progress.shown(("scene", "training"), terminal) as tell,
+    ):
+        tell("scene", 1.0)
+        tell("training", 0.5)
+    drawn = read_all(ours)
+    assert all(words in drawn for words in ("1/2 scene", "2/2 training", "50%"))
+
+
+def test_a_table_alone_is_built_and_tried_by_nobody(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "my box"
+    table = "--layout", SKIN, "--table", "--out", str(out)
+    assert main(["build", "003_cracker_box", *table]) == 0
+    printed, said = capsys.readouterr()
+    assert re.fullmatch(r"1/1 scene: \d+ s\n", said)
+    assert [line.split("  ")[0] for line in printed.splitlines()] == [
+        "made",
+        "how good",
+        "next",
+        "took",
+    ]
+    assert f"how good   taxeld-hil expect --object '{out}'\n" in printed
+    loaded = bundle.load(str(out), layouts.load(SKIN))
+    assert (loaded.order, loaded.manifest.samplers) == (("table",), ())
+
+
+def test_a_killed_build_leaves_no_worker_behind(block: Path, tmp_path: Path) -> None:
+    words = ["build", str(block), "025_mug", "--layout", SKIN, "--table", "--out", str(tmp_path)]
+    build = subprocess.Popen(
+        [sys.executable, "-m", "taxeld_training.cli", *words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )
-    assert two == three
+    workers: set[Path] = set()
+    while len(workers) < touches.WORKERS:
+        assert build.poll() is None, "it ended before its workers began"
+        workers = {path for path in _children(build.pid) if b"spawn_main" in _command(path)}
+    build.kill()
+    build.wait()
+    waits_until = time.monotonic() + 120.0
+    while left := [path for path in workers if _command(path)]:
+        assert time.monotonic() < waits_until, left
+        time.sleep(0.1)
 
 
-@pytest.mark.parametrize(("own", "is_cured"), [(20, True), (32, False)])
-def test_the_summary_counts_trials_and_has_a_cure_where_the_table_finds_clearly_more(
-    built: Path, info: dict[str, Any], own: int, is_cured: bool
+def _children(pid: int) -> set[Path]:
+    with contextlib.suppress(OSError):
+        text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
+        return {Path("/proc") / number for number in text.split()}
+    return set()
+
+
+def _command(process: Path) -> bytes:
+    """Empty once it has ended."""
+    with contextlib.suppress(OSError):
+        return (process / "cmdline").read_bytes()
+    return b""
+
+
+def test_trials_are_the_same_by_any_number_of_workers(
+    built: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted = []
+    for workers in (1, 2):
+        monkeypatch.setattr(touches, "WORKERS", workers)
+        monkeypatch.setattr(touches, "BLOCK", workers)
+        asked = built, layouts.load(SKIN), "poor", 2, lambda *_: None
+        counted.append(touches.counted(*asked))
+    assert counted[0] == counted[1]
+
+
+@pytest.mark.parametrize(("own", "pays"), [(20, False), (32, True)])
+def test_the_summary_says_whether_the_sampler_paid_and_has_a_cure_where_it_clearly_did_not(
+    built: Path, info: dict[str, Any], own: int, pays: bool
 ) -> None:
     found = {
         "table 100..400": [0] * 5 + [34, 38, 39],
@@ -138,41 +226,91 @@ def test_the_summary_counts_trials_and_has_a_cure_where_the_table_finds_clearly_
     }
     wrong = {"table 100..400": [0] * 8, "density-64 100..400": [0, 1, 1, 0, 0, 0, 0, 0]}
     told = {"foam": "typical", "trials": 40, "found_and_sure": found, "misleading": wrong}
-    said = "\n".join(summary(built, info | {"touches": told}, SKIN, "the cure"))
+    said = "\n".join(summary(built, info | {"touches": told}, SKIN))
     assert (
-        f"how good   density-64 100..400: {own} of 40 found and sure after 6 touches on typical "
-        "foam, 39 after 8; 2 of 320 estimates misleading\n"
-        "           table 100..400: 34, 39 after 8; 0 misleading\n"
+        f"how good   found and sure after 6: with density-64 {own} of 40, with the table 34\n"
+        "           40 trials on typical foam; misleading: 2 and 0 of 320 estimates\n"
     ) in said
-    assert ("\n           the cure\n" in said) == is_cured
+    assert ("the sampler does not pay: train longer (--effort 3), or say --table" in said) != pays
 
 
 @pytest.mark.parametrize("trials", [1, 2])
 def test_trials_choose_the_filter_that_the_daemon_runs_if_there_are_enough_of_them(
     built: Path, info: dict[str, Any], trials: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(touches.enough, "LEAST", 2)
+    monkeypatch.setattr(touches, "ENOUGH", 2)
     monkeypatch.setattr(touches, "SIZES", (25, 50, 100))
-    asked = touches.EndTrials("exact", trials, workers=1)
-    told = touches.counted(built, layouts.load(SKIN), asked, lambda *_: None)
+    monkeypatch.setattr(touches, "WORKERS", 1)
+    told = touches.counted(built, layouts.load(SKIN), "exact", trials, lambda *_: None)
     if trials < 2:
         assert told.keys() == {"touches"}
         return
-    filters = touches.tried(_sampler(info), asked)
+    filters = touches.tried(_sampler(info), trials)
     assert list(told["touches"]["found_and_sure"]) == list(filters)
     assert sorted(told["auto"]) == sorted(info["auto"])
     keys = told["filter"]
     name = f"{told['auto'][0]} {keys['particles']}..{keys['particles_max']}"
     assert filters[name].injected == keys["injected"]
-    said = list(summary(built, info | told, SKIN, ""))
-    assert f"enough     {name} particles, {keys['injected']} samples" in said
-    assert said[3].startswith(f"how good   {name}: ")
+    said = "\n".join(summary(built, info | told, SKIN))
+    count = told["touches"]["found_and_sure"][name][5]
+    assert f"enough     {name} particles, {keys['injected']} samples: {count} of 2" in said
 
 
-def test_an_unknown_foam_is_refused_before_anything_is_built(tmp_path: Path) -> None:
-    asked = "build", "003_cracker_box", "--foam", "scene", "--out", tmp_path / "box"
-    said = refused(*asked, main=main)
-    assert said == "taxeld-train: --foam: no foam 'scene'; there are exact, typical, poor\n"
+HARD = np.random.default_rng(0).uniform(0.3, 0.9, 40)  # trials are hard for all filters alike
+NOISY = HARD + np.random.default_rng(1).normal(0.0, 0.2, 40)
+
+
+@pytest.mark.parametrize(
+    ("worths", "usual", "chosen"),
+    [
+        ([HARD - 0.2, HARD - 0.005, HARD], 2, 1),
+        ([NOISY, HARD, HARD + 0.3 * (NOISY - HARD)], 1, 1),
+        ([HARD - 0.2, HARD, HARD + 0.1], 1, 2),
+    ],
+    ids=["a cheap one keeps up", "trials do not tell them apart", "a dear one is shown better"],
+)
+def test_the_first_filter_that_is_shown_to_be_as_good_as_the_best_is_enough(
+    worths: list[np.ndarray], usual: int, chosen: int
+) -> None:
+    assert touches.enough(worths, usual) == chosen
+
+
+def test_being_sure_and_wrong_once_weighs_more_than_being_sure_earlier() -> None:
+    def trials(*each: list[tuple[float, float]]) -> Claims:
+        """Of touches as (p, error [mm])."""
+        p, error_mm = np.moveaxis(np.array(each), -1, 0)
+        return Claims(p, np.full(p.shape, 9.0), error_mm)
+
+    good, doubted, wrong = (1.0, 1.0), (0.5, 1.0), (1.0, 99.0)
+    early = trials(*[[good] * 8] * 9, [*[good] * 7, wrong])
+    late = trials(*[[doubted, *[good] * 7]] * 10)
+    assert touches.worth(early).mean() < touches.worth(late).mean()
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--foam scene", "--foam: no foam 'scene'; there are exact, typical, poor"),
+        ("--effort 0", "--effort: must be over 0 and at most 100, not 0"),
+        ("--effort nan", "--effort: must be over 0 and at most 100, not nan"),
+        ("--depth-mm 51", "--depth-mm: must be 0.1..50, not 51"),
+        (
+            f"--layout {SKIN} --layout {THIN} --layout {THIN} --height-m 0.02 --height-m 0.05",
+            "--height-m: 2 heights for 3 layouts; give one for all, or one for each --layout",
+        ),
+        (
+            "--samplers",
+            "taxeld-train build --samplers: is gone; they are made, of several objects too; "
+            "--table makes none",
+        ),
+    ],
+)
+def test_what_cannot_be_built_is_refused_before_any_work(
+    words: str, line: str, tmp_path: Path
+) -> None:
+    asked = "build", "003_cracker_box", *words.split(), "--out", tmp_path / "box"
+    assert refused(*asked, main=main) == f"taxeld-train: {line}\n"
+    assert not (tmp_path / "box").exists()
 
 
 def test_another_depth_is_the_bundles_and_a_daemon_must_have_it(
@@ -181,11 +319,6 @@ def test_another_depth_is_the_bundles_and_a_daemon_must_have_it(
     assert info["depth_max_m"] == DEPTH_M
     with pytest.raises(SetupError, match=f"was built for {DEPTH_M:g}"):
         bundle.load(str(built), layouts.load(SKIN), 0.005)
-    scene = "scene", "003_cracker_box", "--depth-mm"
-    said = printed(*scene, 3, main=main)
-    assert "build 003_cracker_box --height-m 0.04 --depth-mm 3 --quick" in said
-    said = refused(*scene, 51, main=main)
-    assert said == "taxeld-train: --depth-mm: must be 0.1..50, not 51\n"
 
 
 def test_exact_posteriors_are_the_same_by_any_number_of_workers_and_tell_their_share(
@@ -215,17 +348,6 @@ def test_exact_posteriors_are_the_same_by_any_number_of_workers_and_tell_their_s
         assert shares[-1] == 1.0
 
 
-def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
-    ours, theirs = pty.openpty()
-    with os.fdopen(theirs, "w") as terminal, stages.shown(("scene", "training"), terminal) as tell:
-        tell("scene", 1.0)
-        tell("training", 0.5)
-    drawn = read_all(ours)
-    assert "1/2 scene" in drawn
-    assert "2/2 training" in drawn
-    assert "50%" in drawn
-
-
 def test_the_daemon_loads_a_built_bundle_and_samples_from_it(built: Path) -> None:
     skin = layouts.load(SKIN)
     loaded = bundle.load(str(built), skin, DEPTH_M)
@@ -251,46 +373,60 @@ def test_samplers_learn_the_errors_that_the_filter_expects(built: Path) -> None:
         assert info["noise"].items() <= expected.items()
 
 
-def measured(mean: float, ms: float, spread: float = 0.2, readings: int = 200) -> dict[str, Any]:
+def measured(mean: float, ms: float, spread: float = 0.2, readings: int = 200) -> Nearness:
     """A proposal's distances to as many readings, some of which are hard for all proposals."""
     rng = np.random.default_rng(0)
     hard = rng.lognormal(0.0, 0.5, readings)
     own = np.random.default_rng(round(1e6 * mean)).normal(1.0, spread, readings)
     distances = hard * own
-    distances *= mean / distances.mean()
-    return {"energy_distance": mean, "ms": ms, "distances": distances}
+    return Nearness(distances * mean / distances.mean(), ms)
 
 
 def test_the_daemons_order_begins_with_the_cheapest_that_is_shown_to_be_as_good_as_the_best() -> (
     None
 ):
-    candidates = {
+    """What noise alone makes as good is not preferred: of few readings with errors of their own a
+    mean within the tolerance says nothing."""
+    given = {
         "dear": measured(0.100, 9.0),
         "cheap": measured(0.105, 0.2),
         "bad": measured(0.300, 0.1),
         "worst": measured(0.900, 0.1),
     }
-    chosen = choose(candidates, 1.15)
-    assert chosen["order"] == ["cheap", "dear", "bad", "worst"]
-    assert "cheap" in chosen["why"]
-    assert "1.15" in chosen["why"]
-    assert choose(candidates, 1.0)["order"] == ["dear", "cheap", "bad", "worst"]
-    assert choose(candidates, 4.0)["order"][0] == "bad"
-
-
-def test_what_noise_alone_makes_as_good_is_not_preferred() -> None:
-    """Of few readings with errors of their own a mean within the tolerance says nothing."""
+    order, why = choose(given, 1.15)
+    assert order == ["cheap", "dear", "bad", "worst"]
+    assert "cheap is the cheapest" in why
+    assert "1.15" in why
+    assert choose(given, 1.0)[0] == ["dear", "cheap", "bad", "worst"]
+    assert choose(given, 4.0)[0][0] == "bad"
     few = {
         "dear": measured(0.100, 9.0, spread=0.6, readings=12),
         "cheap": measured(0.110, 0.2, spread=0.6, readings=12),
     }
-    assert choose(few, 1.15)["order"] == ["dear", "cheap"]
+    assert choose(few, 1.15)[0] == ["dear", "cheap"]
 
 
-def test_a_directory_with_other_content_is_not_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("years of work", encoding="ascii")
-    assert "other content" in refused("build", "003_cracker_box", "--out", tmp_path, main=main)
-    assert (tmp_path / "thesis.tex").exists()
+@pytest.mark.parametrize(
+    ("kept", "place", "why"),
+    [
+        ("thesis.tex", "", "is a directory with other content; name an empty one"),
+        ("box/notes/thesis.tex", "box", "is a directory with other content; name an empty one"),
+        ("thesis.tex", "thesis.tex", "cannot be written (Not a directory); name another directory"),
+        ("thesis.tex", "thesis.tex/box", "cannot be written (File exists); name another directory"),
+    ],
+)
+def test_a_place_that_no_bundle_can_take_is_refused_before_anything_is_built(
+    kept: str, place: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bundle there may be replaced, but nothing else."""
+    shutil.copytree(bundle.find("box"), tmp_path / "box")
+    work = tmp_path / kept
+    work.parent.mkdir(exist_ok=True)
+    work.write_text("years of work", encoding="ascii")
+    monkeypatch.setattr(meshes, "find", pytest.fail)
+    said = refused("build", "003_cracker_box", "--out", tmp_path / place, main=main)
+    assert said.startswith(f"taxeld-train: --out: {tmp_path / place} {why}")
+    assert work.read_text(encoding="ascii") == "years of work"
 
 
 def test_shipped_bundles_are_small_and_name_their_origin() -> None:
@@ -328,3 +464,81 @@ def test_what_is_no_bundle_is_not_sealed(box: Path, text: str) -> None:
     (box / "bundle.json").write_text(text, encoding="utf-8")
     refused("seal", box, main=main)
     assert (box / "bundle.json").read_text(encoding="utf-8") == text
+
+
+@pytest.fixture
+def solids(tmp_path: Path) -> Path:
+    """Two boxes that differ above the skin, and one far shorter than the skin's heights."""
+    for name, height_m in (("tall", 0.1), ("short", 0.085), ("flat", 0.01)):
+        rig.box(z=height_m).export(tmp_path / f"{name}.stl")
+    return tmp_path
+
+
+def test_boxes_that_differ_only_above_the_skin_are_alike_and_a_mug_is_not(
+    solids: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(touches, "ENOUGH", 2)
+    monkeypatch.setattr(touches, "WORKERS", 1)
+    objects = [str(solids / "tall.stl"), str(solids / "short.stl"), "025_mug"]
+    asked = ["--layout", rig.RING, "--table", "--foam", "exact", "--out", str(solids / "made")]
+    assert main(["build", *objects, *asked]) == 0
+    said = capsys.readouterr().out.splitlines()
+    told = json.loads((solids / "made" / "alike.json").read_text(encoding="utf-8"))
+    alike = {(row["object"], row["other"]) for row in told["pairs"] if row["alike"]}
+    assert alike == {("tall", "short"), ("short", "tall")}
+    assert [line for line in said if line.startswith("alike")] == [
+        "alike      short and tall: 8 touches at these heights leave both possible in 100% of 2 "
+        "trials on exact foam"
+    ]
+    folders = [solids / "made" / name for name in ("tall", "short", "025_mug")]
+    assert said[-1] == f"scene.bundles = {json.dumps([*map(str, folders)])}"
+    assert {line.split()[0] for line in said} == {"made", "alike", "parts", "took", "scene.bundles"}
+    opened = bundle.load(str(folders[2]), layouts.load(rig.RING))
+    assert (opened.order, opened.manifest.samplers) == (("table",), ())
+
+
+@pytest.mark.parametrize(
+    ("objects", "line"),
+    [
+        ("tall.stl tall.stl", "OBJECT: 'tall' 2 times; name each object once"),
+        (" ".join(f"{k}.stl" for k in range(40)), "OBJECT: 40 objects; name 16 at most"),
+        ("tall.stl flat.stl", "flat.stl: no taxel is at a height of the object"),
+        ("tall.stl 999_none", "999_none: no such YCB object"),
+        ("tall.stl short.stl --out box", "--out: box is a bundle; name a directory for several"),
+    ],
+)
+def test_what_cannot_be_built_together_is_refused_before_any_training(
+    solids: Path, objects: str, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(bundle.find("box"), solids / "box")
+    monkeypatch.chdir(solids)
+    monkeypatch.setattr(candidates, "make", pytest.fail)
+    asked = ["build", "--layout", rig.RING, "--out", "made", *objects.split()]
+    assert line in refused(*asked, main=main)
+    assert not list(solids.glob("made/*"))
+
+
+@pytest.fixture(scope="module")
+def linked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("links") / "mug"
+    words = ["build", "025_mug", "--layout", THREE, "--layout", THIN, "--table"]
+    heights = ["--height-m", "0.02", "--height-m", "0.05"]
+    assert main([*words, *heights, "--out", str(out)]) == 0
+    return out
+
+
+def test_each_link_has_the_object_at_its_own_heights_and_links_of_one_layout_share_them(
+    linked: Path,
+) -> None:
+    three, thin = layouts.load(THREE), layouts.load(THIN)
+    first, second = bundle.load(str(linked), three, further=[thin]).model.links
+    assert (len(first.scene.heights), len(second.scene.heights)) == (3, 2)
+    assert second.layout is thin
+    assert first.scene.symmetry == second.scene.symmetry
+    assert np.array_equal(first.scene.centre, second.scene.centre)
+    one, two = bundle.load(str(linked), three, further=[three]).model.links
+    assert np.array_equal(one.scene.slices, two.scene.slices)
+    alone = bundle.load(str(linked), thin)
+    assert (len(alone.model.links), alone.manifest.height_m) == (1, 0.05)
+    with pytest.raises(SetupError, match=r"^[^\n]* a --layout for each[^\n]*$"):
+        bundle.load(str(linked), three, further=[layouts.load(SKIN)])

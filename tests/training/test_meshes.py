@@ -15,7 +15,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.cli import main
-from taxeld_training.objects.doubts import TURNS, doubts
+from taxeld_training.objects.report import TURNS, doubts
 from taxeld_training.objects.setting import OBJECTS
 from tests.rig.commands import printed, refused
 

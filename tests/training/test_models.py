@@ -1,4 +1,5 @@
-"""Every model learns the posterior, and its ONNX file gives what torch gives."""
+"""Models: their coordinates and views mean what they say, every one learns the posterior, and its
+ONNX file gives what torch gives."""
 
 import json
 from pathlib import Path
@@ -8,7 +9,10 @@ import onnx
 import onnxruntime as ort
 import pytest
 import torch
+from torch import Tensor
 
+from taxeld.arrays import Poses
+from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Projection
@@ -18,10 +22,11 @@ from taxeld_training.models import variants
 from taxeld_training.models.base import NetworkConfig
 from taxeld_training.models.dataset import SimulatedTouches, simulate
 from taxeld_training.models.density import BINS, ContactDensity
+from taxeld_training.models.diffusion import Denoiser, DiffusionSampler
 from taxeld_training.models.export import export, rounded
-from taxeld_training.models.frames import ContactFrame
+from taxeld_training.models.frames import ContactFrame, PoseFrame, rotated
 from taxeld_training.models.variants import Variant
-from taxeld_training.models.views import best
+from taxeld_training.models.views import Centred, Plain, Turned, best
 
 TRAINING = variants.density(8).training
 FEW = NetworkConfig(8, 16, steps=8)  # T: the unrolled graph of a hundred is slow to export
@@ -139,3 +144,131 @@ def test_the_density_integrates_to_one(ring_model: ObservationModel) -> None:
     cell = (2 * half / (side - 1)) ** 2
     # the Gaussians' constant, which training does not need
     assert float(log_each.exp().sum()) * cell / (2 * np.pi) == pytest.approx(1.0, abs=0.02)
+
+
+class GaussianDenoiser(Denoiser):
+    """The exact v of data N(0.5, 0.3²): E[ε|x] and E[x₀|x] are linear in x."""
+
+    def run(self, x: Tensor, shift: Tensor) -> Tensor:
+        a = self.alpha_bar[int(shift[0, 0].item())]
+        variance = a * 0.3**2 + 1.0 - a
+        clean = 0.5 + a.sqrt() * 0.3**2 / variance * (x - a.sqrt() * 0.5)
+        noise = (x - a.sqrt() * clean) / (1.0 - a).sqrt()
+        return a.sqrt() * noise - (1.0 - a).sqrt() * clean
+
+
+def test_the_diffusion_draws_the_gaussian_of_its_denoiser(ring_model: ObservationModel) -> None:
+    config = NetworkConfig(steps=100, width=4)
+    net = GaussianDenoiser(config, Plain(ring_model.layout), PoseFrame())
+    with torch.no_grad():
+        net.time.weight.copy_(torch.arange(100)[:, None].expand(-1, 12))
+        net.context.weight.zero_()
+        net.context.bias.zero_()
+        sampler = DiffusionSampler(net)
+        noise = torch.randn(100, 20_000, 4, generator=torch.Generator().manual_seed(0))
+        drawn = sampler(torch.zeros(1, 32), torch.ones(1, 32), noise)
+    assert torch.allclose(drawn.mean(0), torch.full((4,), 0.5), atol=0.01)
+    assert torch.allclose(drawn.std(0), torch.full((4,), 0.3), atol=0.02)
+
+
+def of_four(four: Tensor) -> Poses:
+    x, y, c, s = four.double().numpy().T
+    return np.column_stack([x, y, np.arctan2(s, c)])
+
+
+def worst_mm(a: Poses, b: Poses) -> float:
+    return 1e3 * float(np.hypot(*(a - b)[:, :2].T).max())
+
+
+@pytest.mark.parametrize("kind", [ContactFrame, PoseFrame])
+def test_a_pose_is_recovered_from_its_coordinates_and_turning_them_turns_it(
+    kind: type, ring_model: ObservationModel, touches: SimulatedTouches
+) -> None:
+    frame = ContactFrame(ring_model) if kind is ContactFrame else PoseFrame()
+    coordinates = frame.encode(touches.pose)
+    back = of_four(frame.decode(frame.features(coordinates)))
+    assert worst_mm(back, touches.pose) < 0.5
+    assert np.abs(np.sin(back[:, 2] - touches.pose[:, 2])).max() < 0.02
+    angle = torch.linspace(-3.0, 3.0, len(touches))
+    turned = frame.features(frame.turned(coordinates, angle))
+    assert worst_mm(of_four(rotated(frame.decode(turned), angle)), touches.pose) < 0.5
+
+
+def test_depth_and_direction_are_how_deep_and_where_the_skin_is_pressed(
+    ring_model: ObservationModel, touches: SimulatedTouches
+) -> None:
+    frame = ContactFrame(ring_model)
+    s = torch.linspace(0.0, 1.0, 400)
+    made = of_four(frame.pose(s, 6.0 * s - 3.0, torch.full_like(s, 0.003)))
+    gap = contacts.clearance(ring_model.scene, ring_model.layout.radius_m, made)
+    assert np.abs(gap + 0.003).max() < 2e-4
+    strongest = touches.activation.argmax(axis=1)
+    x, y, _ = ring_model.layout.position_m[strongest].T
+    off = np.angle(np.exp(1j * (np.arctan2(y, x) - frame.encode(touches.pose)[:, 1].numpy())))
+    assert np.quantile(np.abs(off), 0.99) < 2.0 * np.pi / 16
+
+
+def seen_by(
+    view: Plain | Turned | Centred, model: ObservationModel, pose: Poses, turn: float
+) -> tuple[Tensor, Tensor]:
+    """A view of touches (n, 3), with the sensor turned about its axis."""
+    h = torch.from_numpy(model.activation(se2.compose(np.array([0.0, 0.0, turn]), pose))).float()
+    seen: tuple[Tensor, Tensor] = view(h, torch.ones_like(h))
+    return seen
+
+
+def test_a_ring_sees_the_same_touch_at_every_column(
+    ring_model: ObservationModel, touches: SimulatedTouches
+) -> None:
+    view, turn = Turned(ring_model.layout), 2.0 * np.pi * 5 / 16
+    here, angle = seen_by(view, ring_model, touches.pose[:200], 0.0)
+    there, other = seen_by(view, ring_model, touches.pose[:200], turn)
+    same = (here - there).abs().amax(dim=1) < 1e-3
+    assert same.float().mean() > 0.95  # two columns may feel the same, and rounding choose
+    gap = torch.remainder(other - angle, 2 * np.pi)[same]
+    assert torch.allclose(gap, torch.full_like(gap, turn), atol=1e-4)
+
+
+def test_a_skin_without_symmetry_sees_nearly_the_same_touch_from_every_side(
+    half_model: ObservationModel,
+) -> None:
+    """As the taxels lie unevenly, the window is compared by where its weight is. It keeps every
+    taxel near the touch."""
+    view = best(half_model.layout)
+    assert isinstance(view, Centred)
+    centres = []
+    for turn in (-0.6, -0.2, 0.3, 0.7):
+        seen, angle = seen_by(view, half_model, np.array([[0.068, 0.0, 0.0]]), turn)
+        grid = seen[0, : view.width // 3].reshape(-1, view.rows).sum(dim=1)
+        cells = torch.arange(-view.reach, view.reach + 1)
+        offset = (grid * cells).sum() / grid.sum() / view.cells_per_rad
+        centres.append(float(angle[0] + offset) - turn)
+    assert np.ptp(centres) < 0.15
+    x, y, _ = half_model.layout.position_m.T
+    seen, angle = view(torch.eye(60)[30:31], torch.ones(1, 60))
+    assert torch.isclose(seen[0, : view.width // 3].sum(), torch.tensor(1.0), atol=1e-5)
+    near = np.abs(np.arctan2(y, x) - float(angle[0])) < 0.65
+    assert seen[0, -(view.width // 3) :].sum() >= near.sum() - 1e-3
+
+
+@pytest.mark.parametrize("kind", [Plain, Turned, Centred])
+def test_a_dead_taxels_reading_is_not_seen(kind: type, half_model: ObservationModel) -> None:
+    view = kind(half_model.layout)
+    z, live = torch.zeros(1, 60), torch.ones(1, 60)
+    z[0, 3], live[0, 7] = 0.6, 0.0
+    other = z.clone()
+    other[0, 7] = 1.0
+    assert all(torch.equal(*both) for both in zip(view(z, live), view(other, live), strict=True))
+
+
+def test_a_batch_of_touches_looks_as_each_of_them_alone(half_model: ObservationModel) -> None:
+    """A batch goes by the few taxels that are pressed or dead, a touch by all of them."""
+    view, rng = Centred(half_model.layout), np.random.default_rng(0)
+    z = torch.from_numpy(simulate(half_model, 50, rng).activation)
+    live = torch.from_numpy(rng.random(z.shape) > 0.2).float()
+    live[:10] = 1.0
+    together, angles = view(z, live)
+    for k in range(50):
+        alone, angle = view(z[k : k + 1], live[k : k + 1])
+        assert torch.equal(angle, angles[k : k + 1])
+        assert torch.allclose(alone[0], together[k], atol=1e-3)  # of a root, for rounding's sake

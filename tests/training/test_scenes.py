@@ -9,8 +9,11 @@ import trimesh
 
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
+from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import CONTINUOUS, Scene
+from taxeld.pipeline.pipeline import _reach_m
 from taxeld.proposals import manifest
+from taxeld.stream import messages
 from taxeld_hil.objects import meshes, scenes
 from taxeld_hil.objects.scenes import GridError, grid_error
 
@@ -54,6 +57,26 @@ def test_a_small_object_is_held_to_its_own_size() -> None:
 def test_a_handle_breaks_the_symmetry() -> None:
     mesh = trimesh.util.concatenate([can(), handle()])
     assert scenes.build(mesh, SKIN, 0.04).symmetry == 1
+
+
+def test_an_outline_is_all_parts_that_stand_apart_at_the_heights_of_the_taxels(
+    tmp_path: Path,
+) -> None:
+    """A kettle's handle is an island there: in the scene, in its file, in what the stream and the
+    place check know of it."""
+    grip = box(0.02, 0.02, 0.02)
+    grip.apply_translation([0.08, 0.0, 0.04])
+    scene = scenes.build(trimesh.util.concatenate([can(128, 0.03), grip]), SKIN, 0.05)
+    manifest.save_scene(scene, tmp_path / "scene.npz")
+    scene = manifest.parse_scene((tmp_path / "scene.npz").read_bytes(), tmp_path)
+    told = messages.info(SKIN, {"kettle": scene}, "")
+    for body, island in (scene.outlines, *(one["outlines"] for one in (told, *told["objects"]))):
+        assert np.allclose(np.hypot(*np.transpose(body)), 0.03, atol=1e-4)
+        off = np.abs(np.subtract(island, [0.08, 0.0])).max(axis=1)
+        assert np.allclose(off, 0.01, atol=1e-4)
+    assert scene.reach > 0.08
+    assert _reach_m(ObservationModel(scene, SKIN, 0.005)) > 0.08 + SKIN.radius_m
+    assert scenes.build(can(), SKIN, 0.05).islands.shape == (0, 64, 2)
 
 
 def test_the_grid_is_the_distance_to_the_outline() -> None:

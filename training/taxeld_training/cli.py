@@ -14,6 +14,8 @@ from taxeld_hil.objects import HEIGHT_M
 from taxeld_training.objects import DEPTH_MAX_M
 
 QUESTIONS = "works, whole, map, which, advice, push, samplers"
+DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
+OBJECT = "a YCB id (025_mug), or a mesh file in metres whose z axis points up"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -25,12 +27,24 @@ def _build(args: argparse.Namespace) -> int:
     """Build what the daemon needs of an object and a skin, or a bundle of each of several.
 
     taxeld-train build 025_mug --out mug
-    taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --quick --out bracket
-    taxeld-train build 003_cracker_box 025_mug 035_power_drill --out bank
+    taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --table --out bracket
+    taxeld-train build 003_cracker_box 025_mug 035_power_drill --table --out bank
     """
-    from taxeld_training import commands
+    from taxeld_training.build import Build
+    from taxeld_training.filters import touches
+    from taxeld_training.samplers import candidates
 
-    for line in commands.build(args):
+    skins, heights_m = args.layout or [SkinConfig().layout], args.height_m or [HEIGHT_M]
+    if len(heights_m) not in (1, len(skins)):
+        raise SetupError(
+            f"--height-m: {len(heights_m)} heights for {len(skins)} layouts; give one for all, or "
+            "one for each --layout"
+        )
+    heights_m = (heights_m * len(skins))[: len(skins)]
+    sampler = None if args.table else candidates.of(args.effort, ddpm=args.ddpm)
+    trials = touches.ENOUGH if args.table or args.effort >= 1.0 else touches.FEW
+    asked = args.object, skins, heights_m, _depth_m(args), args.out, sampler, args.foam, trials
+    for line in Build(*asked).run():
         print(line)
     return 0
 
@@ -53,11 +67,23 @@ def _scene(args: argparse.Namespace) -> int:
     taxeld-train scene 025_mug
     taxeld-train scene bracket.stl --height-m 0.05 --png bracket.png
     """
-    from taxeld_training import commands
+    from taxeld_training import build
+    from taxeld_training.objects import report
 
-    for line in commands.scene(args):
+    skin, height_m = args.layout or SkinConfig().layout, args.height_m or HEIGHT_M
+    for line in report.lines(args.object, skin, height_m, _depth_m(args), args.png):
         print(line)
+    print(f"next        {build.command(args.object, skin, height_m, _depth_m(args))}")
+    build.warn_of_doubts(args.object, skin, height_m)
     return 0
+
+
+def _depth_m(args: argparse.Namespace) -> float:
+    """The depth of a press at full scale. Raises SetupError."""
+    least, most = DEPTHS_MM
+    if not least <= args.depth_mm <= most:
+        raise SetupError(f"--depth-mm: must be {least:g}..{most:g}, not {args.depth_mm:g}")
+    return float(args.depth_mm / 1e3)
 
 
 def _evaluate(args: argparse.Namespace) -> int:
@@ -85,62 +111,38 @@ def _parser() -> argparse.ArgumentParser:
         "taxeld-train build bracket.stl --height-m 0.05 --out bracket",
     )
     commands = command_line.commands_of(parser)
-    add = _with_object(documented(commands, _scene)).add_argument
+    scene = documented(commands, _scene)
+    scene.add_argument("object", metavar="OBJECT", help=OBJECT)
+    _add_skin(scene)
     about = "draw the object, the skin's heights and the slices"
-    add("--png", type=Path, metavar="OUT", help=about)
-    add = _with_object(documented(commands, _build), nargs="+").add_argument
+    scene.add_argument("--png", type=Path, metavar="OUT", help=about)
+    build = documented(commands, _build)
+    build.add_argument("object", metavar="OBJECT", nargs="+", help=OBJECT)
+    _add_skin(build, "; again for each further link", action="append")
+    add = build.add_argument
     about = "directory of the bundle; of several objects, the directory that holds theirs"
     add("--out", type=Path, required=True, metavar="BUNDLE", help=about)
-    about = "also of several objects; without them the table of simulated contacts proposes poses"
-    add("--samplers", action="store_true", help=about)
-    about = "in a minute, with poor samplers: other defaults for the options below"
-    add("--quick", action="store_true", help=about)
-    about = "share of each model's full training (default 1)"
-    add("--effort", type=float, metavar="SHARE", help=about)
-    add("--contacts", type=int, help="simulated contacts to train on (default 300000)")
-    add("--bank", type=int, help="contacts that exact posteriors begin with")
-    add("--readings", type=int, help="readings that samplers are measured on")
-    add("--trials", type=int, help="trials at the end (default 40)")
-    about = "of these trials: exact, typical or poor (default %(default)s)"
-    add("--foam", default="typical", help=about)
+    about = "train no sampler: simulated contacts, looked up in a table, propose poses; in seconds"
+    add("--table", action="store_true", help=about)
+    about = "share of the sampler's full training; 0.02 takes a minute, and it is poor (default 1)"
+    add("--effort", type=float, default=1.0, metavar="SHARE", help=about)
     add("--ddpm", action="store_true", help="also the diffusion, a baseline; takes twice as long")
-    add("--seed", type=int, default=0)
+    about = "of the trials at the end: exact, typical or poor (default %(default)s)"
+    add("--foam", default="typical", help=about)
     documented(commands, _seal).add_argument("bundle", type=Path, metavar="BUNDLE")
     _add_options(documented(commands, _evaluate))
     return parser
 
 
-class _OneALink(argparse.Action):
-    """An option that may be given for each link: what follows the first is kept apart."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,  # noqa: ARG002
-        namespace: argparse.Namespace,
-        values: object,
-        option_string: str | None = None,  # noqa: ARG002
-    ) -> None:
-        more = f"{self.dest}_more"
-        if hasattr(namespace, more):
-            getattr(namespace, more).append(values)
-        else:
-            setattr(namespace, self.dest, values)
-            setattr(namespace, more, [])
-
-
-def _with_object(one: argparse.ArgumentParser, nargs: str | None = None) -> argparse.ArgumentParser:
-    action = "store" if nargs is None else _OneALink
-    add = one.add_argument
-    about = "a YCB id (025_mug), or a mesh file in metres whose z axis points up"
-    add("object", metavar="OBJECT", nargs=nargs, help=about)
-    about = "as skin.layout in the configuration (default %(default)s)"
-    about += "" if nargs is None else "; again for each further link"
-    add("--layout", "--skin", action=action, default=SkinConfig().layout, help=about)
-    about = "the sensor frame's origin above the object's lowest point (default %(default)s)"
-    add("--height-m", action=action, type=float, default=HEIGHT_M, metavar="H", help=about)
+def _add_skin(made: argparse.ArgumentParser, more: str = "", action: str = "store") -> None:
+    """Add the options that say where the skin meets an object; `more` and `action`: of those that
+    are given for each link."""
+    about = f"as skin.layout in the configuration{more} (default {SkinConfig().layout})"
+    made.add_argument("--layout", help=about, action=action)
+    about = f"the sensor frame's origin above the object's lowest point{more} (default {HEIGHT_M})"
+    made.add_argument("--height-m", type=float, metavar="H", help=about, action=action)
     about = "depth of a press at full scale (default %(default)g)"
-    add("--depth-mm", type=float, default=1e3 * DEPTH_MAX_M, metavar="D", help=about)
-    return one
+    made.add_argument("--depth-mm", type=float, default=1e3 * DEPTH_MAX_M, metavar="D", help=about)
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ ICUB = "an iCub's skin comes as an array (docs/array.md)"
 MEASURED = "'taxeld calibrate' measures it, and skin.calibration has its figure"
 WHOLE = "'evaluate whole' compares filters, 'evaluate map' has what ships under each condition"
 NAMED = "say it with --cells, which names cells, methods, guides and motions"
+EFFORT = "--effort scales training, measuring and trials together"
 SESSION = "'taxeld replay DIR' plays a session, and 'taxeld view DIR' shows it"
 
 GONE: dict[str, str] = {
@@ -32,6 +33,15 @@ GONE: dict[str, str] = {
     "taxeld-train evaluate --effort": "questions.toml has the effort of each question",
     "taxeld-train evaluate --minutes": "stop it when you like: the same command goes on",
     "taxeld-train evaluate --seed": "say --seeds FIRST-LAST",
+    "taxeld-train build --samplers": "they are made, of several objects too; --table makes none",
+    "taxeld-train build --quick": "say --table, or --effort 0.02 for a poor sampler in a minute",
+    "taxeld-train build --contacts": EFFORT,
+    "taxeld-train build --bank": EFFORT,
+    "taxeld-train build --readings": EFFORT,
+    "taxeld-train build --trials": EFFORT,
+    "taxeld-train build --seed": "builds are the same each time",
+    "taxeld-train build --skin": "say --layout",
+    "taxeld-train scene --skin": "say --layout",
     "taxeld-hil calibration": "taxeld calibrate SESSION --check judges a skin's own touches",
     "scene.max_objects": "one object is estimated; a second one shows as `other` or `moved`",
     "--histogram": "lat_us of 'taxeld status' and /taxeld/health has median, 99 % and the longest",

@@ -66,14 +66,17 @@ def read(spec: str) -> Layout:
         return made
     path, source = Path(spec), Provenance()
     reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        raise SetupError(
-            f"skin.layout: '{spec}' is no known layout; use '{generated.EXAMPLES['cylinder']}', "
-            f"'{generated.EXAMPLES['wrap']}', a robotskinlib .json, or a .csv "
-            "(examples/icub_positions.py makes one of an iCub's .txt)"
-        )
+    is_path = ":" not in spec and (path.suffix or len(path.parts) > 1)
     try:
-        text = files.read(path).decode("utf-8-sig")
+        data = files.read(path) if reader or is_path else b""
+        if reader is None:
+            raise SetupError(
+                f"skin.layout: '{spec}' is no known layout; use "
+                f"'{generated.EXAMPLES['cylinder']}', '{generated.EXAMPLES['wrap']}', "
+                "a robotskinlib .json, or a .csv "
+                "(examples/icub_positions.py makes one of an iCub's .txt)"
+            )
+        text = data.decode("utf-8-sig")
         return _placed(path.stem, *reader(text, source), source)
     except OSError as error:
         fault = f"unreadable ({error.strerror}); name a layout file that this user may read"

@@ -5,7 +5,7 @@ signed distances [m], negative inside; slices are filled, since a skin is presse
 gives way past a thin wall. The object frame is the mesh file's own (x, y, yaw).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -30,10 +30,12 @@ class Scene:
     heights: Floats  # (K,) heights of the slices in the sensor frame
     origin: Floats  # (2,) position of grid point [0, 0]
     cell: float  # grid spacing
-    outline: Floats  # (P, 2) points on the silhouette, in order
+    outline: Floats  # (P, 2) points on the silhouette's largest part, in order
     surface: Floats  # (Q, 3) points on the object's surface at the skin's heights, for ADD
     symmetry: int  # order of the geometric rotation symmetry; CONTINUOUS, or 1 for none
     centre: Floats  # (2,) centre of that symmetry
+    # (I, Q, 2) as `outline`, of each other part, as a kettle's handle is; older files have none
+    islands: Floats = field(default_factory=lambda: np.empty((0, 1, 2)))
 
     def __post_init__(self) -> None:
         shapes = {
@@ -45,6 +47,8 @@ class Scene:
             "surface": (None, 3),
             "centre": (2,),
         }
+        if len(self.islands):
+            shapes["islands"] = (None, None, 2)
         for name, shape in shapes.items():
             _check(name, getattr(self, name), shape)
         slices, ny, nx = self.slices.shape
@@ -56,6 +60,11 @@ class Scene:
             raise SetupError(f"scene: cell is not within {FINEST_M:g} to {FARTHEST_M:g} m")
         if not 0 <= self.symmetry <= MOST_TURNS:
             raise SetupError(f"scene: symmetry is not within 0 to {MOST_TURNS}")
+
+    @property
+    def outlines(self) -> list[Floats]:
+        """Points (P, 2) on each part of the silhouette, in order, of the largest part first."""
+        return [self.outline, *self.islands]
 
     @property
     def extent(self) -> tuple[Floats, Floats]:
@@ -87,8 +96,7 @@ class Scene:
 
     @cached_property
     def reach(self) -> float:
-        """Largest distance of an edge from the centre: of all parts, where `outline` is the largest
-        one's alone."""
+        """Largest distance of an edge from the centre, of all parts."""
         return float(np.linalg.norm(self.edge - self.centre, axis=1).max())
 
     def slice_of(self, layout: Layout) -> Index:

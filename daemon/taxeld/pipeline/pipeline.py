@@ -304,4 +304,4 @@ class Pipeline:
 
 def _reach_m(model: ObservationModel) -> float:
     """How far from the link's axis an object may lie that touches it [m]."""
-    return float(np.hypot(*model.scene.outline.T).max()) + model.layout.radius_m
+    return float(np.hypot(*np.concatenate(model.scene.outlines).T).max()) + model.layout.radius_m

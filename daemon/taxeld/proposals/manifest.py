@@ -159,7 +159,8 @@ def parse_scene(data: bytes, path: Path) -> Scene:
     """
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            values = {name: arrays[name] for name in Scene.__dataclass_fields__}
+            needed = (k for k in Scene.__dataclass_fields__ if k in arrays or k != "islands")
+            values = {name: arrays[name] for name in needed}
         cell, symmetry = float(values.pop("cell").item()), int(values.pop("symmetry").item())
         return Scene(**values, cell=cell, symmetry=symmetry)
     except Exception as error:  # exceptions of zip, zlib and numpy's headers share no base

@@ -148,10 +148,14 @@ def info(
     """`/taxeld/info`: which daemon this is, and what its numbers mean; `scenes` by the names of the
     objects, in the order of their numbers, `links` by their names, where there are several."""
     objects = [
-        {"name": name, "symmetry": scene.symmetry, "outline": scene.outline.tolist()}
+        {
+            "name": name,
+            "symmetry": scene.symmetry,
+            "outlines": [one.tolist() for one in scene.outlines],
+        }
         for name, scene in scenes.items()
     ]
-    first, *_ = [*objects, {"name": "", "symmetry": 0, "outline": []}]
+    first, *_ = [*objects, {"name": "", "symmetry": 0, "outlines": []}]
     return {
         "v": VERSION,
         "taxeld": __version__,
@@ -163,7 +167,7 @@ def info(
         "layout": _layout(layout),
         "object": first["name"],
         "symmetry": first["symmetry"],
-        "outline": first["outline"],
+        "outlines": first["outlines"],
         "objects": objects,
         "config_hash": config_hash,
     } | ({"links": [{"name": k, "layout": _layout(v)} for k, v in links.items()]} if links else {})

@@ -36,7 +36,7 @@ class Picture:
         self.stream = rr.RecordingStream("taxeld")
         self._scenes, self._truth = scenes, truth if len(scenes) == 1 else None
         self._info: dict[str, Any] = {}
-        self._outlines: list[Floats] = []  # (P, 2) of each object in its own frame, closed
+        self._outlines: list[list[Floats]] = []  # (P, 2) of an object's parts in its frame, closed
         self._middle = np.zeros(3)  # of the object that was drawn last, in its own frame
 
     def take(self, topic: bytes, m: dict[str, Any]) -> None:
@@ -49,8 +49,10 @@ class Picture:
             takes[DRAWN.index(topic)](m)
 
     def _set(self, info: dict[str, Any]) -> None:
-        self._info, outlines = info, [np.array(each["outline"]) for each in info["objects"]]
-        self._outlines = [np.vstack([line, line[:1]]) for line in outlines]
+        self._info = info
+        self._outlines = [
+            [np.array([*line, line[0]]) for line in each["outlines"]] for each in info["objects"]
+        ]
         self._position_m = np.array(info["layout"]["position_m"])
         z = self._position_m[:, 2]
         self._heights_m, self._middle_m = np.linspace(z.min(), z.max(), LINES), float(z.mean())
@@ -83,7 +85,7 @@ class Picture:
         modes = e["modes"] if e["valid"] else []
         if any(one["object"] >= len(self._outlines) for one in (e, *modes)):
             return
-        self._middle = np.array([*self._outlines[e["object"]][:-1].mean(axis=0), 0.0])
+        self._middle = np.array([*self._outlines[e["object"]][0][:-1].mean(axis=0), 0.0])
         rows, found = [f"**{name}** {text}" for name, text in estimate_rows(e)], []
         if e["valid"]:
             likeliest, var = pose_of(e["map"]), np.diag(np.array(e["cov"], dtype=float))
@@ -112,9 +114,9 @@ class Picture:
         self.stream.log("world/particles", arrows)
 
     def _lines(self, number: int, pose: Poses, heights_m: Iterable[float]) -> list[Floats]:
-        """The outline of an object at a pose, at each of the heights."""
-        outline = se2.apply(pose, self._outlines[number])
-        return [np.insert(outline, 2, height_m, axis=1) for height_m in heights_m]
+        """The outlines of an object at a pose, at each of the heights."""
+        placed = [se2.apply(pose, line) for line in self._outlines[number]]
+        return [np.insert(line, 2, height, axis=1) for height in heights_m for line in placed]
 
 
 def pose_of(planar: dict[str, float]) -> Poses:

@@ -42,8 +42,9 @@ def draw(result: Result, out: Path) -> None:
     expected, read, weight = fit.expected()[used], presses.counts[used], fit.weight[used]
     readings.scatter(expected, read, c=weight, s=8, cmap="coolwarm_r", vmin=0.0, vmax=1.0)
     readings.axline((0.0, 0.0), slope=1.0, color="0.6", lw=0.8)
-    ring = 1e3 * se2.apply(fit.value.object, result.model.scene.outline)
-    places.fill(*ring.T, color="0.9", ec="0.4")
+    for outline in result.model.scene.outlines:
+        ring = 1e3 * se2.apply(fit.value.object, outline)
+        places.fill(*ring.T, color="0.9", ec="0.4")
     sensor = se2.compose(presses.sensor, c.mount)
     tip = se2.compose(sensor, np.array([ARROW_M, 0.0, 0.0]))
     x, y = 1e3 * np.stack([sensor, tip])[..., :2].transpose(2, 0, 1)

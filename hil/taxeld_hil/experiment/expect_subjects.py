@@ -167,7 +167,8 @@ def _of(
     key = f"{code()} {mesh} {layout.digest} {height_m:.6f} {depth_m:.6f}".encode() + raw
     out = place / f"{file.stem}-{hashlib.sha256(key).hexdigest()[:12]}"
     if not out.is_dir():
-        bundles.bare(mesh, layout, height_m, depth_m, out)
+        with bundles.replacing(out) as made:
+            bundles.write(mesh, [(layout, height_m)], depth_m, made)
     return replace(base, bundle=str(out))
 
 

@@ -3,83 +3,93 @@
 import json
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.model.scene import Scene
+from taxeld.model.observation import ObservationModel
 from taxeld.proposals import manifest
-from taxeld.proposals.analytic import Table
+from taxeld.proposals.analytic import Table, check_contacts
 from taxeld_hil.objects import meshes, scenes
 
 MESH = "mesh"  # name, before its suffix, of the copy of a mesh file for the harness
 
+Links = Sequence[tuple[Layout, float]]
+"""The layout of each link, and how high its frame's origin is above the object's lowest point."""
+
 
 def check_place(out: Path) -> None:
-    """Raises SetupError where `out` holds something else than a bundle."""
-    if out.exists() and not (out / manifest.NAME).is_file() and any(out.iterdir()):
-        raise SetupError(f"--out: {out} is a directory with other content; name an empty one")
+    """Raises SetupError where no bundle can be put: `out` holds something else than one, or cannot
+    be written."""
+    try:
+        held = list(out.iterdir()) if out.exists() else []
+        if (held and not (out / manifest.NAME).is_file()) or any(one.is_dir() for one in held):
+            raise SetupError(f"--out: {out} is a directory with other content; name an empty one")
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out if out.exists() else out.parent):
+            pass
+    except OSError as error:
+        raise SetupError(
+            f"--out: {out} cannot be written ({error.strerror}); name another directory"
+        ) from None
 
 
-def write(
-    scene: Scene, info: dict[str, Any], directory: Path, further: Sequence[Scene] = ()
-) -> None:
-    """Write `scene.npz`, the scenes on further links, which `info` names, and then `bundle.json`
-    about them and the samplers that are there."""
-    manifest.save_scene(scene, directory / manifest.SCENE)
-    for link, one in zip(info.get("links", ()), further, strict=True):
-        manifest.save_scene(one, directory / link["scene"])
-    _write(info, directory)
+@contextmanager
+def replacing(out: Path) -> Iterator[Path]:
+    """An empty directory for a bundle, which is moved to `out` in the end, in place of an older
+    bundle; after a fault `out` is as before."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent) as temporary:
+        made = Path(temporary) / "made"
+        made.mkdir()
+        yield made
+        if out.exists():
+            out.rename(made.with_name("older"))
+        made.rename(out)
 
 
-def links(at: Sequence[tuple[Layout, float]]) -> list[dict[str, Any]]:
-    """The entries in `bundle.json` of further links: their layouts and heights."""
-    return [
-        {
-            "layout": {"name": layout.name, "digest": layout.digest},
-            "height_m": height_m,
-            "scene": f"scene-{number}.npz",
-        }
-        for number, (layout, height_m) in enumerate(at, 2)
-    ]
-
-
-def bare(name: str, layout: Layout, height_m: float, depth_m: float, out: Path) -> None:
-    """Write a bundle without samplers, with which the daemon looks up simulated contacts, of a YCB
-    id or a mesh file; `height_m` is as in `scenes.build`, `depth_m` of a press at full scale.
+def write(name: str, links: Links, depth_m: float, directory: Path) -> ObservationModel:
+    """Write a bundle of a YCB id or a mesh file without samplers: simulated contacts propose poses.
+    `depth_m` is that of a press at full scale. → The model of the first link.
 
     Raises:
         SetupError: the object cannot be used, or the skin misses it.
     """
     path, attribution = meshes.find(name)
-    scene = scenes.cut(name, layout, height_m)
-    info: dict[str, Any] = {"object": path.stem, "attribution": attribution}
-    info |= {"layout": {"name": layout.name, "digest": layout.digest}, "height_m": height_m}
-    info |= {"depth_max_m": depth_m, "samplers": [], "auto": [Table.name]}
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent) as temporary:
-        made = Path(temporary) / "bundle"
-        made.mkdir()
-        if Path(name).suffix:  # the harness has the meshes of YCB objects
-            info["mesh"] = MESH + path.suffix
-            shutil.copyfile(path, made / info["mesh"])
-        write(scene, info, made)
-        replace(made, out)
+    mesh = meshes.load(path)
+    made = scenes.build_all(mesh, links)
+    model = ObservationModel(made[0], links[0][0], depth_m)
+    check_contacts(model)
+    files = [manifest.SCENE, *(f"scene-{number}.npz" for number in range(2, len(links) + 1))]
+    for scene, file in zip(made, files, strict=True):
+        manifest.save_scene(scene, directory / file)
+    first, *further = [
+        {"layout": {"name": layout.name, "digest": layout.digest}, "height_m": height_m}
+        for layout, height_m in links
+    ]
+    info: dict[str, Any] = {"object": path.stem, "attribution": attribution, **first}
+    info |= {"depth_max_m": depth_m, "symmetry": model.scene.symmetry}
+    info["repairs"] = scenes.repairs(mesh, *links[0])
+    info["grid_error_mm"] = asdict(scenes.grid_error(model.scene, mesh, *links[0], depth_m))
+    if further:
+        info["links"] = [
+            link | {"scene": file} for link, file in zip(further, files[1:], strict=True)
+        ]
+    if Path(name).suffix:  # the harness has the meshes of YCB objects
+        info["mesh"] = MESH + path.suffix
+        shutil.copyfile(path, directory / info["mesh"])
+    _write(info | {"samplers": [], "auto": [Table.name]}, directory)
+    return model
 
 
-def replace(made: Path, out: Path) -> None:
-    """Move a finished directory to `out`, in place of an older bundle."""
-    if out.is_dir():
-        for file in out.iterdir():
-            file.unlink()
-        out.rmdir()
-    made.rename(out)
-
-
-def seal(directory: Path) -> None:
-    """Have `bundle.json` name the files as they are now; one of format 2 becomes one of format 3.
+def seal(directory: Path, more: Mapping[str, Any] = MappingProxyType({})) -> None:
+    """Have `bundle.json` name the files as they are now, and say what `more` says; one of format 2
+    becomes one of format 3.
 
     Raises:
         SetupError: it is no bundle, or cannot be written.
@@ -92,7 +102,7 @@ def seal(directory: Path) -> None:
     if not isinstance(info, dict) or info.get("format") not in (2, manifest.FORMAT):
         raise SetupError(f"{path}: is not of bundle format 2 or {manifest.FORMAT}")
     try:
-        _write(info, directory)
+        _write(info | dict(more), directory)
     except OSError as error:
         raise SetupError(f"{path}: cannot be written ({error.strerror})") from None
 

@@ -22,7 +22,7 @@ GRAIN_M = 2.0**-16  # distances are kept to 15 µm: finer digits are noise and d
 MARGIN_M = 0.025  # grid beyond the reach of the cylinder, so that uniform poses surround the object
 SLICE_STEP_M = 0.01  # heights nearer than this share a slice
 FAR_M = 1.0  # the distance of a slice that misses the object
-OUTLINE_POINTS = 256
+OUTLINE_POINTS, ISLAND_POINTS = 256, 64
 SURFACE_POINTS_PER_SLICE = 64
 
 # An outline turned by less than these from itself counts as symmetric: a scan of a slightly leaning
@@ -58,6 +58,8 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
             "change --height-m"
         )
     cell = CELL_M * fineness(union)
+    parts = sorted(shapely.get_parts(union), key=lambda part: -part.area)
+    islands = [_around(part, ISLAND_POINTS) for part in parts[1:]]
     x, y, origin = _grid(union, layout.radius_m + MARGIN_M, cell)
     order, centre = symmetry(shapes, union)
     return Scene(
@@ -66,10 +68,11 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
         heights=heights,
         origin=origin,
         cell=cell,
-        outline=_around(_largest(union), OUTLINE_POINTS),
+        outline=_around(parts[0], OUTLINE_POINTS),
         surface=_surface(shapes, heights),
         symmetry=order,
         centre=centre,
+        islands=np.reshape(islands, (-1, ISLAND_POINTS, 2)),
     )
 
 

@@ -119,7 +119,8 @@ def _from_above(
 ) -> None:
     """The link, its pressed taxels and the object; `truth` (3,) where it is known."""
     angle = np.linspace(0.0, 2.0 * np.pi, 100)
-    outline = np.vstack([scene.outline, scene.outline[:1]])
+    gap = np.full((1, 2), np.nan)  # no line leads from one part to another
+    outline = np.vstack([part for one in scene.outlines for part in (one, one[:1], gap)])
     for pose in scan.particles:
         _line(axis, pose, outline, alpha=0.06, **MAYBE)
     if truth is not None:

@@ -1,57 +1,51 @@
-"""How good a bundle is, in touches: trials at the end of its build, and the filter that is enough.
+"""The trials that a build ends with: how good a bundle is in touches, and what touch tells apart.
 
-A trial is a random sequence of touches of the object on the bundle's own skin. After each touch a
+A trial is a random sequence of touches of an object on the bundle's own skin. After each touch a
 filter has *found* the object or not, is *sure* or not, and may *mislead*, as everywhere. Filters of
 several sizes, with the bundle's own sampler and with the table, meet the same touches. The bundle
 says which of them is enough, and the daemon runs that one.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import joblib
+import numpy as np
 
+from taxeld.arrays import Floats
 from taxeld.config import tables
-from taxeld.errors import SetupError
 from taxeld.estimator.bank import Known
 from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC, Table
+from taxeld_hil import jobs
 from taxeld_hil.integrity import Claims
-from taxeld_training.filters import enough
-from taxeld_training.filters.cells import TOUCHES
+from taxeld_training.filters import identities
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.follow import estimator_of, follow
-from taxeld_training.filters.methods import SHIPPED, Method, TouchResult, claims
+from taxeld_training.filters.identities import Identities
+from taxeld_training.filters.methods import SHIPPED, TABLED, Method, TouchResult, claims
 from taxeld_training.filters.trials import Trial
-from taxeld_training.jobs.blocks import SEEDS_APART
+from taxeld_training.samplers.candidates import interval
 
-STAGE = "trials"
+STAGE, PAIRS = "trials", "pairs"
 FOAMS = {  # levels of filters/levels.py
     "exact": TrialConditions(),
     "typical": TrialConditions(skin="typical"),
     "poor": TrialConditions(skin="poor"),
 }
-
 SIZES = (25, 50, SHIPPED.particles, 200)  # N at least, of the filters that are tried
+TOUCHES = 8  # of a trial
+ENOUGH, FEW = 40, 8  # trials; fewer than enough choose no filter
+MARGIN = 0.01  # share of the touches by which a filter that is as good may fall behind
+MISLED = 10.0  # touches found and sure that one misleading takes away
+BLOCK = 5  # trials after which a worker tells of its progress
+WORKERS = 2
 
-
-@dataclass(frozen=True)
-class EndTrials:
-    """The trials that a build ends with."""
-
-    foam: str = "typical"
-    trials: int = 40
-    seed: int = 0
-    workers: int = 2
-
-    def __post_init__(self) -> None:
-        if self.foam not in FOAMS:
-            raise SetupError(f"--foam: no foam '{self.foam}'; there are {', '.join(FOAMS)}")
-        if self.trials < 1:
-            raise SetupError("--trials: must be 1 or more")
+Progress = Callable[[str, float], None]
+"""Is told a stage, and the share of it that is done."""
 
 
 def size(method: Method) -> str:
@@ -59,10 +53,10 @@ def size(method: Method) -> str:
     return f"{method.particles}..{method.particles_max}"
 
 
-def tried(sampler: str, asked: EndTrials) -> dict[str, Method]:
+def tried(sampler: str, trials: int) -> dict[str, Method]:
     """The filters that are tried, by name, cheapest first; the table's before the sampler's, which
     takes a training. Of few trials, which choose nothing, only those of the usual size."""
-    sizes = SIZES if asked.trials >= enough.LEAST else (SHIPPED.particles,)
+    sizes = SIZES if trials >= ENOUGH else (SHIPPED.particles,)
     most = SHIPPED.particles_max // SHIPPED.particles
     filters = (
         Method(name, SHIPPED.injection, n, most * n)
@@ -73,44 +67,70 @@ def tried(sampler: str, asked: EndTrials) -> dict[str, Method]:
 
 
 def counted(
-    folder: Path, layout: Layout, asked: EndTrials, progress: Callable[[str, float], None]
+    folder: Path, layout: Layout, foam: str, trials: int, progress: Progress
 ) -> dict[str, Any]:
     """The part of bundle.json about the trials of the bundle in `folder`: of each filter, how many
     had found their object and were sure of it after each touch, and how many misled; and the
     filter that is enough. All meet the same touches."""
-    made = bundle.load(str(folder), layout)
-    sampler = next(name for name in made.order if name not in ANALYTIC)
-    filters = tried(sampler, asked)
-    work = joblib.delayed(_played)
-    jobs = (work(folder, layout, asked, filters, k) for k in range(asked.workers))
-    done: dict[str, list[list[TouchResult]]] = {}
-    # as in quality.reference, whose workers are then used again: starting them takes seconds
-    played = joblib.Parallel(asked.workers, return_as="generator", mmap_mode="c")(jobs)
-    for finished, part in enumerate(played, 1):
-        for name, trials in part.items():
-            done.setdefault(name, []).extend(trials)
-        progress(STAGE, finished / asked.workers)
-    told = {name: claims(trials) for name, trials in done.items()}
-    return _chosen(filters, told, list(made.order)) | {
+    order = bundle.load(str(folder), layout).order
+    filters = tried(next(name for name in order if name not in ANALYTIC), trials)
+    of = [(method, 0) for method in filters.values()]
+    done = _played([folder], layout, foam, of, trials, partial(progress, STAGE))
+    told = dict(zip(filters, map(claims, done), strict=True))
+    return _chosen(filters, told, order) | {
         "touches": {
-            "foam": asked.foam,
-            "trials": asked.trials,
-            "seed": asked.seed,
+            "foam": foam,
+            "trials": trials,
             "found_and_sure": {k: of.found_and_sure.sum(axis=0).tolist() for k, of in told.items()},
             "misleading": {k: of.misleading.sum(axis=0).tolist() for k, of in told.items()},
         }
     }
 
 
+def pairs(
+    folders: Sequence[Path], layout: Layout, foam: str, trials: int, progress: Progress
+) -> dict[str, Any]:
+    """How many touches part each pair of the objects of the bundles in `folders`. Each object is
+    touched in turn, and a filter that knows them all, with the table, says which one it is. What
+    the trials do not part is alike: whoever runs these bundles together cannot expect to be told
+    which of them it is."""
+    of = [(TABLED, true) for true in range(len(folders))]
+    done = _played(folders, layout, foam, of, trials, partial(progress, PAIRS))
+    given = Identities.of([(true, run) for true, runs in enumerate(done) for run in runs])
+    told = identities.parting(given, [folder.name for folder in folders])
+    return {"foam": foam, "trials": trials, "touches": TOUCHES, "pairs": told}
+
+
+def enough(worths: Sequence[Floats], usual: int) -> int:
+    """Index of the first filter that is shown to fall behind the best by at most `MARGIN`, of
+    filters with worths (T,) in the same trials, T > 1.
+
+    The best is the `usual` one, unless another is shown to be better. It is shown where the
+    interval of the paired difference, over trials drawn anew, says so: of what too few trials tell
+    apart the usual one is kept.
+    """
+    best = max(range(len(worths)), key=lambda k: float(worths[k].mean()))
+    if interval(worths[best] - worths[usual])[0] <= 0.0:
+        best = usual
+    behind = (interval(worths[best] - each)[1] for each in worths)
+    return next(k for k, most in enumerate(behind) if k == best or most <= MARGIN)
+
+
+def worth(of: Claims) -> Floats:
+    """(N,) of each trial: the share of its touches after which the object was found and the filter
+    sure. A touch after which it was sure and wrong takes `MISLED` of them away."""
+    return np.asarray((of.found_and_sure - MISLED * of.misleading).mean(axis=1))
+
+
 def _chosen(
-    filters: dict[str, Method], told: dict[str, Claims], order: list[str]
+    filters: dict[str, Method], told: dict[str, Claims], order: Sequence[str]
 ) -> dict[str, Any]:
     """The parts of bundle.json that the daemon runs; none where too few trials choose nothing."""
     names = list(filters)
     if len(names) < len(SIZES):
         return {}
     usual = names.index(f"{Table.name} {size(SHIPPED)}")
-    own = filters[names[enough.first([enough.worth(told[name]) for name in names], usual)]]
+    own = filters[names[enough([worth(told[name]) for name in names], usual)]]
     return {
         "auto": [own.proposal, *(name for name in order if name != own.proposal)],
         "filter": {key: getattr(own, key) for key in tables.SIZES},
@@ -118,14 +138,49 @@ def _chosen(
 
 
 def _played(
-    folder: Path, layout: Layout, asked: EndTrials, filters: dict[str, Method], worker: int
-) -> dict[str, list[list[TouchResult]]]:
-    made = bundle.load(str(folder), layout)
-    found: dict[str, list[list[TouchResult]]] = {name: [] for name in filters}
-    for name, method in filters.items():
-        known = [Known(made.model, made.open(method.proposal))]
-        for seed in range(worker, asked.trials, asked.workers):
-            own = SEEDS_APART * asked.seed + seed
-            trial = Trial(made.model, own, TOUCHES, FOAMS[asked.foam])
-            found[name].append(follow(trial, estimator_of(known, method, own)))
+    folders: Sequence[Path],
+    layout: Layout,
+    foam: str,
+    of: Sequence[tuple[Method, int]],
+    trials: int,
+    progress: Callable[[float], None],
+) -> list[list[list[TouchResult]]]:
+    """So many trials of each filter that knows the objects of all bundles, where the object with
+    the given number is touched: the results of each touch."""
+    blocks = [range(trials)[first : first + BLOCK] for first in range(0, trials, BLOCK)]
+    todo = [(*one, block) for one in of for block in blocks]
+    found: list[list[list[TouchResult]]] = [[] for _ in of]
+    made = jobs.beside(_block, _Opened(folders, layout, foam), todo, WORKERS)
+    for number, played in enumerate(made):
+        found[number // len(blocks)] += played
+        progress((number + 1) / len(todo))
     return found
+
+
+@dataclass
+class _Opened:
+    """The bundles that a worker has opened."""
+
+    folders: Sequence[Path]
+    layout: Layout
+    foam: str
+    known: dict[str, list[Known]] = field(default_factory=dict)  # by the name of their proposal
+
+    def by(self, proposal: str) -> list[Known]:
+        if proposal not in self.known:
+            all_ = [bundle.load(str(folder), self.layout) for folder in self.folders]
+            self.known[proposal] = [Known(one.model, one.open(proposal)) for one in all_]
+        return self.known[proposal]
+
+
+def _block(opened: _Opened, one: tuple[Method, int, range]) -> list[list[TouchResult]]:
+    method, true, seeds = one
+    known = opened.by(method.proposal)
+    return [
+        follow(
+            Trial(known[true].model, seed, TOUCHES, FOAMS[opened.foam]),
+            estimator_of(known, method, seed),
+            true,
+        )
+        for seed in seeds
+    ]

@@ -44,7 +44,7 @@ class Dense:
         low, high = scene.extent
         self._ax, self._ay = rng.uniform(low[:, None], high[:, None], (2, LINES))
         self._away, self._gx, self._gy = scene.clearance(self._ax, self._ay)
-        self._outline = cKDTree(scene.outline)
+        self._outline = cKDTree(np.concatenate(scene.outlines))
         place = self._place(self._ax, self._ay, self._away, self._gx, self._gy)
         self._order = np.argsort(place, kind="stable")  # the lines, place by place
         self._count = np.bincount(place, minlength=PLACES)

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-import joblib
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +12,7 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model.contacts import Proposal
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
+from taxeld_hil import jobs
 from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import Draws, ExactPosterior, energy_distance
 from taxeld_training.models.dataset import SimulatedTouches, read, simulate
@@ -74,13 +74,9 @@ def reference(
     contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
     exact = Posterior(model, contacts, noise, rng)
     drawn = read(model, noise, readings, rng)
-    jobs = (
-        joblib.delayed(_draws)(exact, seen, own)
-        for seen, own in zip(drawn, rng.spawn(readings), strict=True)
-    )
     kept: list[tuple[Poses, Floats, Bools, Poses, float]] = []
     spent_s = 0.0
-    made = joblib.Parallel(workers, return_as="generator", mmap_mode="c")(jobs)
+    made = jobs.beside(_draws, exact, list(zip(drawn, rng.spawn(readings), strict=True)), workers)
     for done, (pose, seen, (draws, took_s)) in enumerate(zip(drawn.pose, drawn, made, strict=True)):
         progress(EXACT_STAGE, done / readings)
         spent_s += took_s
@@ -92,8 +88,9 @@ def reference(
     return Reference(truth, z, live, draws_of, ess, model.scene.size, left_out, ms)
 
 
-def _draws(exact: "Posterior", seen: Observation, rng: np.random.Generator) -> tuple[Draws, float]:
+def _draws(exact: "Posterior", of: tuple[Observation, np.random.Generator]) -> tuple[Draws, float]:
     """Draws for a reading, and the CPU time that they took [s]."""
+    seen, rng = of
     start = time.thread_time()
     draws = exact.sample(seen, 2 * SAMPLES, rng)
     return draws, time.thread_time() - start

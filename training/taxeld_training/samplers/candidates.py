@@ -5,21 +5,23 @@ posterior. The daemon runs by default the cheapest one that is as good as the be
 object, such as a can, does not cost what a power drill costs.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from scipy import stats
 
+from taxeld.arrays import Floats
+from taxeld.errors import SetupError
 from taxeld.model.contacts import Proposal
-from taxeld.model.noise import FLOOR, Noise
+from taxeld.model.noise import FLOOR
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld.proposals.sampler import Sampler
-from taxeld_training.jobs.statistics import LEVEL, of_mean, rounded
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.base import Model
@@ -27,66 +29,86 @@ from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, simulate
 from taxeld_training.models.variants import Variant
 
 TOLERANCE = 1.15  # factor of the nearest proposal's distance up to which another is as good
+LEVEL, DRAWS = 0.95, 400  # of intervals by bootstrap
 VARIANTS = variants.density(64), variants.density(16, 48, 2)  # trained side by side
+CONTACTS_OF, BANK_OF, READINGS_OF = (30_000, 300_000), (50_000, 100_000), (10, 100)  # least, full
+MOST_EFFORT = 100.0
+WORKERS = 2
 
 CONTACTS, TRAINING, MEASURING = "contacts", "training", "measuring"
 STAGES = (CONTACTS, TRAINING, quality.BANK_STAGE, quality.EXACT_STAGE, MEASURING)
-
-DISTANCES = "distances"  # of a sampler, reading by reading, for intervals and paired tests
-
-Progress = Callable[[str, float], None]  # of a stage, and the share of it that is done
 
 
 @dataclass(frozen=True)
 class Candidates:
     """The models to be trained, and what their samplers are measured with."""
 
-    variants: tuple[Variant, ...] = VARIANTS
-    noise: Noise = IN_USE
-    bank: int = 100_000
-    readings: int = 100
-    workers: int = 2
-    seed: int = 0
+    variants: tuple[Variant, ...]
+    bank: int  # contacts that exact posteriors begin with
+    readings: int
+
+
+class Nearness(NamedTuple):
+    """A proposal against the exact posteriors of readings."""
+
+    distances: Floats  # (readings,)
+    ms: float  # CPU time of a call
+
+    def stated(self) -> dict[str, Any]:
+        """As bundle.json has it."""
+        ends = [round(end, 5) for end in interval(self.distances)]
+        mean = float(self.distances.mean())
+        return {"energy_distance": mean, "energy_distance_ci": ends, "ms": self.ms}
+
+
+def of(effort: float, *, ddpm: bool = False) -> Candidates:
+    """The models that a build trains, with a share of their full training, measured as well as
+    that is worth. Raises SetupError."""
+    if not 0.0 < effort <= MOST_EFFORT:
+        raise SetupError(f"--effort: must be over 0 and at most {MOST_EFFORT:g}, not {effort:g}")
+    contacts, bank, readings = (
+        round(max(least, min(effort, 1.0) * full))
+        for least, full in (CONTACTS_OF, BANK_OF, READINGS_OF)
+    )
+    wanted = (*VARIANTS, variants.diffusion()) if ddpm else VARIANTS
+    given = tuple(variants.trained_with(one, effort, contacts) for one in wanted)
+    return Candidates(given, bank, readings)
 
 
 def make(
-    model: ObservationModel, given: Candidates, folder: Path, progress: Progress
+    model: ObservationModel,
+    given: Candidates,
+    folder: Path,
+    progress: Callable[[str, float], None],
 ) -> dict[str, Any]:
     """Train the candidates, export them into `folder` and measure them; → the part of bundle.json
-    about samplers."""
-    rng = np.random.default_rng(given.seed)
+    about samplers. `progress` is told each of `STAGES`, and the share of it that is done."""
+    rng = np.random.default_rng(0)
     most = max(v.training.contacts for v in given.variants)
     touches = simulate(model, most, rng, partial(progress, CONTACTS))
     torch.set_num_threads(1)  # more would wait for one another
-    networks = variants.fit_beside(
-        given.variants, model, given.noise, touches, partial(progress, TRAINING)
-    )
-    to = quality.reference(
-        model,
-        given.noise,
-        given.readings,
-        rng,
-        bank=given.bank,
-        workers=given.workers,
-        progress=progress,
-    )
-    samplers = []
-    for done, (variant, network) in enumerate(zip(given.variants, networks, strict=True), 1):
-        samplers.append(_exported(variant, network, given, model, folder, to))
-        progress(MEASURING, done / (len(networks) + 1))
-    analytic = {name: _measured(make(model), to, given.seed) for name, make in ANALYTIC.items()}
+    told = partial(progress, TRAINING)
+    networks = variants.fit_beside(given.variants, model, IN_USE, touches, told)
+    how = {"bank": given.bank, "workers": WORKERS}
+    to = quality.reference(model, IN_USE, given.readings, rng, **how, progress=progress)
+    samplers: dict[str, dict[str, Any]] = {}
+    measured: dict[str, Nearness] = {}
+    for variant, network in zip(given.variants, networks, strict=True):
+        path, about = _exported(variant, network, model, folder)
+        proposal = Sampler(path.read_bytes(), model.layout, variant.kind, path)
+        measured[path.stem], samplers[path.stem] = _measured(proposal, to), about
+        progress(MEASURING, len(samplers) / (len(networks) + 1))
+    measured |= {name: _measured(make(model), to) for name, make in ANALYTIC.items()}
     progress(MEASURING, 1.0)
-    choice = choose({s["name"]: s for s in samplers} | analytic, TOLERANCE)
+    order, why = choose(measured)
     return {
         "contacts_dropped_share": touches.dropped_share,
-        "noise": asdict(given.noise),
-        "samplers": [
-            _stated(one) for one in sorted(samplers, key=lambda s: choice["order"].index(s["name"]))
-        ],
-        "analytic": {name: _stated(one) for name, one in analytic.items()},
+        "noise": asdict(IN_USE),
+        "samplers": [samplers[k] | measured[k].stated() for k in order if k in samplers],
+        "analytic": {name: measured[name].stated() for name in ANALYTIC},
         "energy_floor": to.floor,
-        "auto": choice["order"],
-        "choice": choice["why"],
+        "auto": order,
+        "choice": why,
         "measured": (
             f"mean energy distance of {quality.SAMPLES} samples to as many exact draws over "
             f"{len(to.z)} simulated readings as the filter sees them, 0 under floors of "
@@ -99,47 +121,44 @@ def make(
     }
 
 
-def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str, Any]:
-    """The order in which the daemon prefers proposals {name: {energy_distance, ms, distances}}, and
-    why.
+def choose(given: Mapping[str, Nearness], tolerance: float = TOLERANCE) -> tuple[list[str], str]:
+    """The order in which the daemon prefers proposals, and why.
 
     The cheapest that is shown to be within `tolerance` times the nearest one's distance comes
     first: over the readings that all have met, the excess is below zero by more than chance. A
     proposal that too few readings tell apart does not count as good. The others follow by distance.
     """
-    best = min(candidates, key=lambda name: candidates[name]["energy_distance"])
-    nearest = candidates[best]
-    excess = {
-        name: of_mean(
-            [np.subtract(c[DISTANCES], tolerance * np.asarray(nearest[DISTANCES]))],
-            np.random.default_rng(0),
-        )[1]
-        for name, c in candidates.items()
-    }
-    good = [name for name in candidates if name == best or excess[name] <= 0.0]
-    first = min(good, key=lambda name: candidates[name]["ms"])
-    rest = sorted(candidates.keys() - {first}, key=lambda n: candidates[n]["energy_distance"])
-    chosen = candidates[first]
+    mean = {name: float(one.distances.mean()) for name, one in given.items()}
+    best = min(mean, key=lambda name: mean[name])
+    nearest = given[best]
+    good = [
+        name
+        for name, one in given.items()
+        if name == best or interval(one.distances - tolerance * nearest.distances)[1] <= 0.0
+    ]
+    first = min(good, key=lambda name: given[name].ms)
     why = (
-        f"{first} is the cheapest ({chosen['ms']:.2f} ms) shown to be within {tolerance:g} × the "
-        f"least distance to the exact posterior ({nearest['energy_distance']:.4f}, {best}, "
-        f"{nearest['ms']:.2f} ms), {LEVEL:.0%} of bootstrap draws over "
-        f"{len(nearest[DISTANCES])} readings"
+        f"{first} is the cheapest ({given[first].ms:.2f} ms) shown to be within {tolerance:g} × "
+        f"the least distance to the exact posterior ({mean[best]:.4f}, {best}, {nearest.ms:.2f} "
+        f"ms), {LEVEL:.0%} of bootstrap draws over {len(nearest.distances)} readings"
     )
-    return {"order": [first, *rest], "why": why}
+    return [first, *sorted(given.keys() - {first}, key=lambda name: mean[name])], why
+
+
+def interval(values: Floats) -> tuple[float, float]:
+    """Interval of the mean of values (n,), by drawing them anew."""
+    found = stats.bootstrap(
+        (values,), np.mean, n_resamples=DRAWS, confidence_level=LEVEL, method="percentile", rng=0
+    ).confidence_interval
+    return float(found.low), float(found.high)
 
 
 def _exported(
-    variant: Variant,
-    network: Model,
-    given: Candidates,
-    model: ObservationModel,
-    folder: Path,
-    to: quality.Reference,
-) -> dict[str, Any]:
-    """Export the sampler of a trained model into `folder`, measure and describe it."""
+    variant: Variant, network: Model, model: ObservationModel, folder: Path
+) -> tuple[Path, dict[str, Any]]:
+    """Export the sampler of a trained model into `folder`; → its file, and what describes it."""
     metadata = variant.describe() | {
-        "noise": asdict(given.noise),
+        "noise": asdict(IN_USE),
         "layout": model.layout.digest,
         "normalisation": {k: getattr(network, k).tolist() for k in ("mean", "scale")},
     }
@@ -147,28 +166,16 @@ def _exported(
     size = sampler.steps if variant.family == "diffusion" else network.config.width
     path = folder / f"{sampler.family}-{size}.onnx"
     export.export(sampler, len(model.layout), path, metadata)
-    return {
+    return path, {
         "name": path.stem,
         "kind": variant.kind,
         "file": path.name,
         "steps": sampler.steps,
         "width": network.config.width,
         "flops": export.flops(sampler, quality.SAMPLES),
-        **_measured(Sampler(path.read_bytes(), model.layout, variant.kind, path), to, given.seed),
     }
 
 
-def _measured(proposal: Proposal, to: quality.Reference, seed: int) -> dict[str, Any]:
-    rng = np.random.default_rng(seed)
-    distances = quality.distances(proposal, to, rng)
-    return {
-        "energy_distance": float(distances.mean()),
-        "energy_distance_ci": rounded(of_mean([distances], rng), 5),
-        "ms": quality.cost_ms(proposal, to, rng),
-        DISTANCES: distances,
-    }
-
-
-def _stated(measured: dict[str, Any]) -> dict[str, Any]:
-    """A measurement as bundle.json has it."""
-    return {key: value for key, value in measured.items() if key != DISTANCES}
+def _measured(proposal: Proposal, to: quality.Reference) -> Nearness:
+    rng = np.random.default_rng(0)
+    return Nearness(quality.distances(proposal, to, rng), quality.cost_ms(proposal, to, rng))

@@ -1,9 +1,11 @@
-"""Probable faults in how a mesh lies and how it is cut, each in a line with its cure.
+"""What a skin meets of an object, and probable faults in how its mesh lies and is cut.
 
-None of it is an error: a lamp may hang and a rod may lie. But a mesh whose z axis does not point
-up, or that is in another unit, gives a scene that is cut in the wrong places.
+No doubt is an error: a lamp may hang and a rod may lie. But a mesh whose z axis does not point up,
+or that is in another unit, gives a scene that is cut in the wrong places.
 """
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +13,13 @@ import shapely
 import trimesh
 from numpy.typing import NDArray
 
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
+from taxeld.model.scene import CONTINUOUS
+from taxeld_hil.objects import meshes, scenes
 
+UPRIGHT = "the link's axis must be vertical (within 0.1 rad), and the object stand as its mesh does"
 LARGE_M = 1.0  # an object that is larger is probably not in metres
 NEAR_M = 0.003  # vertices so near the lowest one carry the object: a scanned flat base is not flat
 TIPS_M = 0.002  # an object tips over whose centre is so far outside the area that carries it
@@ -33,6 +40,44 @@ TURNS = {  # turn in words → its matrix
     "90° about y": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
     "-90° about y": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
 }
+
+
+def lines(
+    name: str, layout: str, height_m: float, depth_m: float, png: Path | None
+) -> Iterator[str]:
+    """What the skin meets of a YCB id or a mesh file, also as a picture.
+
+    Raises:
+        SetupError: the object or the skin cannot be used, or the picture not be written.
+    """
+    skin, mesh = layouts.load(layout), meshes.load(meshes.find(name)[0])
+    cut = scenes.build(mesh, skin, height_m)
+    error = scenes.grid_error(cut, mesh, skin, height_m, depth_m)
+    heights = (height_m + cut.heights) * 1e3
+    met = sum(bool((piece < 0.0).any()) for piece in cut.slices)
+    yield f"upright     {UPRIGHT}"
+    yield f"extents     {' × '.join(f'{length * 1e3:.0f}' for length in mesh.extents)} mm"
+    yield (
+        f"slices      {len(heights)}, {heights[0]:.0f} to {heights[-1]:.0f} mm above the lowest "
+        f"point, {met} of which meet the object"
+    )
+    yield f"symmetry    {turns(cut.symmetry)}"
+    yield f"repairs     {'; '.join(scenes.repairs(mesh, skin, height_m)) or 'none'}"
+    yield f"grid error  rms {error.rms:.3f}, 99 % under {error.p99:.3f}, max {error.max:.3f} mm"
+    yield f"grid        {(cut.slices.nbytes + cut.silhouette.nbytes) / 1e3:.0f} kB"
+    if png:
+        from taxeld_training.objects import picture  # noqa: PLC0415  (an extra)
+
+        title = f"{name} on {skin.name}\n{UPRIGHT}"
+        try:
+            picture.draw(mesh, cut, skin, height_m, title, png)
+        except OSError as fault:
+            raise SetupError(f"--png: cannot write {png} ({fault.strerror})") from None
+
+
+def turns(symmetry: int) -> str:
+    """The order of a rotation symmetry in words."""
+    return {CONTINUOUS: "continuous", 1: "none"}.get(symmetry, f"{symmetry}-fold")
 
 
 def doubts(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[str]:

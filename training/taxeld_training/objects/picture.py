@@ -18,6 +18,7 @@ from shapely.plotting import patch_from_polygon
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld_hil.objects import scenes
+from taxeld_training.objects.report import turns
 
 MM = 1e3
 ROOM = 0.25  # share of the object's width that is left beside it for the heights' labels
@@ -83,19 +84,18 @@ def _from_above(
                 axes.add_patch(patch_from_polygon(in_mm, facecolor="none", edgecolor=line, lw=1.5))
     x, y = scene.centre * MM
     axes.plot([x], [y], "k+", ms=8)
-    reach = float(np.linalg.norm(scene.outline - scene.centre, axis=1).max()) * MM
+    reach = scene.reach * MM
     if scene.symmetry not in (1, CONTINUOUS):
         for k in range(scene.symmetry):
             angle = 2.0 * np.pi * k / scene.symmetry
             axes.plot([x, x + reach * np.cos(angle)], [y, y + reach * np.sin(angle)], "k:", lw=0.8)
     if math.isfinite(layout.radius_m):
         radius = layout.radius_m * MM
-        beside = scene.outline[:, 0].max() * MM + 1.2 * radius
+        beside = np.concatenate(scene.outlines)[:, 0].max() * MM + 1.2 * radius
         axes.add_patch(mpl.patches.Circle((beside, y), radius, fill=False, ls="--", color="0.5"))
         axes.annotate("the link", (beside, y), fontsize=7, ha="center", va="center")
     axes.margins(0.1)
     axes.autoscale_view()
-    turn = {CONTINUOUS: "continuous", 1: "none"}.get(scene.symmetry, f"{scene.symmetry}-fold")
     axes.set_xlabel("x of the mesh [mm]")
     axes.set_ylabel("y of the mesh [mm]")
-    axes.set_title(f"from above: what is cut; symmetry: {turn}", fontsize=9)
+    axes.set_title(f"from above: what is cut; symmetry: {turns(scene.symmetry)}", fontsize=9)

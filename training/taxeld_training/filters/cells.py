@@ -1,3 +1,0 @@
-"""Touches of the trials at the end of a build."""
-
-TOUCHES = 8
