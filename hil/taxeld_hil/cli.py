@@ -22,7 +22,6 @@ from taxeld_hil.scenario.mesh_config import FOAMS
 if TYPE_CHECKING:
     from taxeld_hil.scenario.scenario import Scenario
 
-VCAN = "vcan0"
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parent / "scenarios").glob("*.toml"))
 
 _say = partial(print, flush=True)
@@ -49,12 +48,9 @@ def _run(args: argparse.Namespace) -> int:
         raise SetupError("--png: a run on hardware records no session to show")
     if args.png:
         from taxeld_hil.run import picture
-    transport, _, channel = args.transport.partition(":")
-    scenario = _scenario(args).over(transport)
+    scenario = _scenario(args)
     if args.advised:
         scenario = replace(scenario, advised=True)
-    if scenario.advised and not is_simulated:
-        raise SetupError("--advised: on hardware the robot is yours; taxeld advise tells it where")
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     run: live.LiveRun | FakeRun
@@ -63,7 +59,7 @@ def _run(args: argparse.Namespace) -> int:
     elif args.clock == "fake":
         run = FakeRun(scenario, args.seed)
     else:
-        run = live.SimulatedRun(scenario, args.seed, channel or VCAN, _say)
+        run = live.SimulatedRun(scenario, args.seed, _say)
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
     with run:
         graded = run.graded(name, out)
@@ -71,21 +67,34 @@ def _run(args: argparse.Namespace) -> int:
     if args.png:
         picture.draw(out, args.png)
     if is_simulated:
-        _say_next(scenario, out)
+        _say_next(args, scenario, out)
     return 0 if graded.passed else 1
 
 
-def _say_next(scenario: "Scenario", out: Path) -> None:
-    """How to see the session, and how a daemon gets this bundle."""
-    beside = Path(sys.argv[0]).with_name("taxeld")  # in a .venv that no shell has been told of
-    program = str(beside) if shutil.which("taxeld") is None and beside.is_file() else "taxeld"
-    _say(f"see it: {shlex.join([program, 'view', str(out)])}")
+def _say_next(args: argparse.Namespace, scenario: "Scenario", out: Path) -> None:
+    """How to see the session, by Rerun or by matplotlib alone, and how to go on with its bundle."""
+    _say(f"see it: {_command('taxeld', 'view', out)}")
+    if not args.png:
+        given = [args.scenario, "--seed", args.seed]
+        for option, value in (("--object", args.object), ("--foam", args.foam)):
+            given += [option, value] if value else []
+        for layout in args.layout or ():
+            given += ["--layout", layout]
+        given += ["--advised"] * args.advised
+        png = f"{Path(args.scenario).stem}.png"
+        _say(f"draw it: {_command('taxeld-hil', 'run', *given, '--clock', 'fake', '--png', png)}")
     if scenario.links > 1:
         return  # their configuration is in the session
-    given = ["--source", "can:can0", "--bundle", scenario.bundle]
-    if scenario.layout:
-        given += ["--layout", scenario.layout]
-    _say(f"next: {shlex.join([program, 'init', 'robot.toml', *given])}")
+    given = ["--bundle", scenario.bundle]
+    given += ["--layout", scenario.layout] if scenario.layout else []
+    _say(f"next: {_command('taxeld', 'init', 'robot.toml', '--source', 'can:can0', *given)}")
+
+
+def _command(program: str, *words: object) -> str:
+    """A command line to copy; with the program's path, where no shell finds it."""
+    beside = Path(sys.argv[0]).with_name(program)
+    found = str(beside) if shutil.which(program) is None and beside.is_file() else program
+    return shlex.join(map(str, [found, *words]))
 
 
 def _accept(args: argparse.Namespace) -> int:
@@ -120,8 +129,6 @@ def _emulate(args: argparse.Namespace) -> int:
     if fault:
         raise SetupError(f"--poses: {fault}")
     scenario = _scenario(args).over("can" if args.can else "")
-    if scenario.advised:
-        raise SetupError(f"{args.scenario}: this robot hears no advice: taxeld-hil run has one")
     if emulate(scenario, args.seed, args.poses, args.can or args.link, args.out):
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
@@ -168,9 +175,7 @@ def _of_run(made: argparse.ArgumentParser) -> None:
     about = "on hardware: where the object is in the robot's world [m, m, rad]"
     add("--truth", type=float, nargs=3, metavar=("X", "Y", "THETA"), help=about)
     add("--clock", choices=("real", "fake"), default="real")
-    about = "in place of the scenario's: slcan, native or can:INTERFACE"
-    add("--transport", default="", help=about)
-    about = "the robot follows the daemon's advice (taxeld advise), in simulation"
+    about = "the robot follows the daemon's advice, on the fake clock"
     add("--advised", action="store_true", help=about)
     about = "draw how the object was found: four moments of the session"
     add("--png", type=Path, metavar="OUT", help=about)

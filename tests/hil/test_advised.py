@@ -85,13 +85,10 @@ def test_few_touches_find_the_object(tmp_path: Path) -> None:
     assert len(run.rig.path.touched) <= ADVISED.contacts
 
 
-def test_on_hardware_the_robot_is_not_ours(tmp_path: Path) -> None:
-    said = refused("run", "demo", "--advised", "--target", "can:can0", main=cli.main)
-    assert said.startswith(
-        "--advised: on hardware the robot is yours; taxeld advise tells it where"
-    )
+def test_in_real_time_no_robot_is_advised(tmp_path: Path) -> None:
+    why = "advised: a robot that is advised runs on the fake clock alone: --clock fake\n"
+    assert refused("run", "demo", "--advised", "--target", "can:can0", main=cli.main) == why
     scenario = tmp_path / "advised.toml"
     scenario.write_text('bundle = "box"\nadvised = true\n', encoding="utf-8")
     given = ("--can", "vcan0", "--poses", "ipc:///x", "--out", tmp_path / "out")
-    said = refused("emulate", scenario, *given, main=cli.main)
-    assert said == f"{scenario}: this robot hears no advice: taxeld-hil run has one\n"
+    assert refused("emulate", scenario, *given, main=cli.main) == why

@@ -35,16 +35,20 @@ def times_run(place: Path) -> list[int]:
     return [len(path.read_text(encoding="ascii")) for path in sorted(place.glob("ran-*"))]
 
 
-def test_a_finished_job_is_not_run_again(tmp_path: Path) -> None:
-    memory = tmp_path / "memory"
-    first = jobs.run(three(tmp_path), memory)
-    assert {name: result["square"] for name, result in first.items()} == {
-        "job-0": 0,
-        "job-1": 1,
-        "job-2": 4,
-    }
+def test_a_finished_job_is_not_run_again_unless_its_result_is_torn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker has one thread, though this process may have more."""
+    for name in jobs.ONE_THREAD:
+        monkeypatch.delenv(name, raising=False)
+    memory, mine = tmp_path / "memory", three(tmp_path)
+    first = jobs.run(mine, memory)
+    assert first == {f"job-{i}": {"square": i * i, "threads": 1} for i in range(3)}
     assert jobs.run(three(tmp_path), memory) == first
     assert times_run(tmp_path) == [1, 1, 1]
+    (memory / f"{mine[2].key}.json").write_text('{"squ', encoding="ascii")
+    assert jobs.run(three(tmp_path), memory) == first
+    assert times_run(tmp_path) == [1, 1, 2]
 
 
 def test_work_arguments_and_code_make_a_job_and_arguments_beside_do_not(tmp_path: Path) -> None:
@@ -55,39 +59,20 @@ def test_work_arguments_and_code_make_a_job_and_arguments_beside_do_not(tmp_path
     assert len({job.key for job in (same, *others)}) == 4
     beside = Job("job", note, (), (place, 0))
     assert jobs.run([beside], tmp_path / "memory")["job"]["square"] == 0
+    long = Job(f"{'/a' * 200}, seed 0", json.loads, ("[1]",))  # its name fits a file's
+    assert jobs.run([long], tmp_path) == {long.name: [1]}
+    assert jobs.read(long, tmp_path) == [1]
 
 
-def test_a_job_with_a_torn_result_runs_again(tmp_path: Path) -> None:
-    memory = tmp_path / "memory"
-    job = three(tmp_path)[2]
-    jobs.run([job], memory)
-    (memory / f"{job.key}.json").write_text('{"squ', encoding="ascii")
-    assert jobs.run([job], memory)["job-2"]["square"] == 4
-    assert times_run(tmp_path) == [2]
-
-
-def test_results_before_a_failure_are_kept(tmp_path: Path) -> None:
-    memory = tmp_path / "memory"
+def test_results_before_a_failure_are_kept_and_no_job_begins_when_the_time_is_over(
+    tmp_path: Path,
+) -> None:
+    memory, (first, *more) = tmp_path / "memory", three(tmp_path)
     with pytest.raises(ValueError, match="9"):
-        jobs.run([*three(tmp_path), Job("bad", refuse, ("", 9))], memory, workers=1)
-    assert jobs.run(three(tmp_path), memory)["job-1"]["square"] == 1
-    assert times_run(tmp_path) == [1, 1, 1]
-
-
-def test_no_job_begins_when_the_time_is_over(tmp_path: Path) -> None:
-    memory = tmp_path / "memory"
-    jobs.run(three(tmp_path)[:1], memory)
-    late = jobs.run(three(tmp_path), memory, until=time.monotonic() - 1.0)
-    assert late["job-0"]["square"] == 0
-    assert late["job-1"] is None
+        jobs.run([first, Job("bad", refuse, ("", 9))], memory, workers=1)
+    late = jobs.run([first, *more], memory, until=time.monotonic() - 1.0)
+    assert (late["job-0"]["square"], late["job-1"]) == (0, None)
     assert times_run(tmp_path) == [1]
-
-
-def test_a_worker_has_one_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Though this process may have more."""
-    for name in jobs.ONE_THREAD:
-        monkeypatch.delenv(name, raising=False)
-    assert jobs.run(three(tmp_path), tmp_path / "memory")["job-0"]["threads"] == 1
 
 
 def test_each_job_is_told_of_with_its_result_and_what_is_remembered_is_counted(
@@ -102,12 +87,6 @@ def test_each_job_is_told_of_with_its_result_and_what_is_remembered_is_counted(
     remembered, *rest = capsys.readouterr().err.splitlines()
     assert remembered == f"1 of 3 runs are remembered in {memory}"
     assert [line.split(": ")[1] for line in rest] == ["job-1", "job-2"]
-
-
-def test_the_name_of_a_result_fits_a_file_however_long_the_name_of_the_job(tmp_path: Path) -> None:
-    job = Job(f"{'/a' * 200}, seed 0", json.loads, ("[1]",))
-    assert jobs.run([job], tmp_path) == {job.name: [1]}
-    assert jobs.read(job, tmp_path) == [1]
 
 
 def test_a_worker_that_dies_and_a_memory_that_cannot_be_written_are_refused_in_one_line(
@@ -127,7 +106,9 @@ def test_a_worker_that_dies_and_a_memory_that_cannot_be_written_are_refused_in_o
 
 
 @pytest.mark.filterwarnings("ignore")  # of the cluster's own
-def test_the_same_jobs_run_on_a_dask_cluster(tmp_path: Path) -> None:
+def test_the_same_jobs_run_on_a_dask_cluster_and_a_missing_scheduler_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
@@ -136,16 +117,9 @@ def test_the_same_jobs_run_on_a_dask_cluster(tmp_path: Path) -> None:
         found = jobs.run(three(tmp_path), tmp_path / "memory", workers=address)
     assert [found[f"job-{i}"]["square"] for i in range(3)] == [0, 1, 4]
     assert times_run(tmp_path) == [1, 1, 1]
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_a_missing_scheduler_is_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("distributed")
     monkeypatch.setattr(jobs, "PATIENCE", "300ms")
     with pytest.raises(SetupError, match=r"--workers: no scheduler answers at tcp://127.0.0.1:9"):
-        jobs.run(three(tmp_path), tmp_path / "memory", workers="tcp://127.0.0.1:9")
+        jobs.run(three(tmp_path), tmp_path / "other", workers="tcp://127.0.0.1:9")
 
 
 def test_layouts_have_rows_in_turn_and_an_absent_file_is_left_out(

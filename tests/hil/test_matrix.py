@@ -37,6 +37,7 @@ def test_a_table_says_how_often_each_object_is_found_what_else_failed_and_what_m
         run("demo", "typical", passed=False),
         run("reboot", "typical", passed=False, found=False, misleading_at_s=[1.0]),
         run("demo", "poor", bundle="/there/is/a/drill"),
+        run("demo", "typical", layout="patch", found=False),
     ]
     assert list(matrix.lines(runs)) == [
         "| scenario | typical, box | poor, drill |",
@@ -44,18 +45,9 @@ def test_a_table_says_how_often_each_object_is_found_what_else_failed_and_what_m
         "| demo | 2 of 2, 1 failed | 1 of 1 |",
         "| reboot | 0 of 1, 1 misleading | 0 of 0 |",
         "| **all** | 2 of 3, 1 failed, 1 misleading | 1 of 1 |",
-    ]
-
-
-def test_each_layout_has_rows_of_its_own() -> None:
-    runs = [run("demo", "poor"), run("demo", "poor", layout="patch", found=False)]
-    assert list(matrix.lines(runs)) == [
-        "| scenario | poor, box |",
-        "|---|---|",
-        "| demo | 1 of 1 |",
-        "| **all** | 1 of 1 |",
-        "| demo, patch | 0 of 1 |",
-        "| **all**, patch | 0 of 1 |",
+        "| demo, patch | 0 of 1 | 0 of 0 |",
+        "| reboot, patch | 0 of 0 | 0 of 0 |",
+        "| **all**, patch | 0 of 1 | 0 of 0 |",
     ]
 
 
@@ -81,37 +73,7 @@ def test_a_run_of_other_code_another_scenario_or_another_bundle_is_not_remembere
     assert measurement.digest(DEMO) not in codes
 
 
-def test_a_run_that_fails_fails_the_command_and_names_its_checks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    hopeless = tmp_path / "hopeless.toml"
-    hopeless.write_text('bundle = "box"\ncontacts = 1\nphysics = "scene"\n', encoding="utf-8")
-    command = [
-        "matrix",
-        str(hopeless),
-        "--foam",
-        "scene",
-        "--object",
-        "mug",
-        "--seeds",
-        "1",
-        "--memory",
-        str(tmp_path / "memory"),
-        "--out",
-        str(tmp_path),
-    ]
-    assert cli.main(command) == 1
-    assert "failed: object found" in capsys.readouterr().err
-
-
-def test_what_no_fake_clock_can_do_runs_in_real_time_where_that_is_asked_for() -> None:
-    for real, expected in ((True, [False, True]), (False, [False, False])):
-        names = ("demo", "adapter_closed")
-        todo = matrix.jobs(names, ("box",), ("scene",), 1, real=real, layouts=("",))
-        assert [job.arguments[3] for job in todo] == expected
-
-
-def test_a_measurement_goes_on_from_what_it_remembers(
+def test_a_measurement_goes_on_from_what_it_remembers_and_names_the_checks_that_failed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = tmp_path / "short.toml"
@@ -127,3 +89,7 @@ def test_a_measurement_goes_on_from_what_it_remembers(
     runs = json.loads((tmp_path / "scenarios.json").read_text(encoding="utf-8"))["runs"]
     assert [run["seed"] for run in runs] == [0, 1]
     assert second.out.splitlines() == list(matrix.lines(runs))
+    short.write_text('bundle = "box"\ncontacts = 1\n', encoding="utf-8")
+    command[command.index("box")] = "mug"
+    assert cli.main([*command, "--seeds", "1"]) == 1
+    assert "failed: object found" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """Pictures of a session say what is drawn, in which units, and tell the story in its order."""
 
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from taxeld.commands.replay import open_pipeline
 from taxeld.config import file as config_file
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate, Status
+from taxeld_hil import cli
 from taxeld_hil.run import picture
 from taxeld_hil.run.picture import DrawnScan, four
 
@@ -97,6 +99,18 @@ def test_the_moments_are_written_small_enough_for_a_page(
     picture.draw(SESSION, out)
     assert out.stat().st_size < 300_000
     assert imread(out).shape[1] > 800
+
+
+@pytest.mark.check
+def test_the_demo_offers_a_picture_by_matplotlib_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["run", "demo", "--clock", "fake"]) == 0
+    (offer,) = (line for line in capsys.readouterr().out.splitlines() if "draw it: " in line)
+    program, *arguments = shlex.split(offer.removeprefix("draw it: "))
+    assert (Path(program).name, cli.main(arguments)) == ("taxeld-hil", 0)
+    assert (tmp_path / "demo.png").is_file()
 
 
 @pytest.mark.parametrize("name", ["no/x.png", "x.nothing"])

@@ -24,6 +24,7 @@ WRONG = [  # a command line, and words of its line
     ("soak --lap 1", "soak --lap: is gone; a soak's report has a row a lap"),
     ("table --seeds 5", "taxeld-hil table: is gone; 'taxeld-hil matrix' has "),
     ("draw session --out x.png", "taxeld-hil draw: is gone; 'taxeld-hil run SCENARIO --png OUT'"),
+    ("run demo --transport native", "run --transport: is gone; the scenario's file has its"),
     ("run demo --limit-s 9", "run --limit-s: is gone; a run on hardware may take two minutes"),
     ("run demo --target can:can0 --png x.png", "--png: a run on hardware records no session"),
     ("matrix demo --foam marble --out {place}/out", NO_FOAM),

@@ -151,11 +151,12 @@ def cli(*args: str, limit_s: float = 300.0) -> "subprocess.CompletedProcess[str]
 def rough(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rough scenario in real time over both kinds of pseudo-terminal, at the same time."""
     place = tmp_path_factory.mktemp("rough")
-    (place / "rough.toml").write_text(ROUGH, encoding="utf-8")
     runs = []
     for transport in ("slcan", "native"):
         out = place / transport
-        command = ["run", str(place / "rough.toml"), "--transport", transport, "--out", str(out)]
+        file = place / f"{transport}.toml"
+        file.write_text(f'transport = "{transport}"\n{ROUGH}', encoding="utf-8")
+        command = ["run", str(file), "--out", str(out)]
         into = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
         runs.append(subprocess.Popen([*HARNESS, *command], **into))
     for run in runs:
@@ -179,11 +180,11 @@ def test_in_real_time_nothing_is_lost_without_being_counted(rough: Path, transpo
 
 
 def test_a_run_on_hardware_grades_what_it_can_and_names_what_it_cannot(tmp_path: Path) -> None:
-    """The emulator stands in for the hardware. The times only bound a hang: the run ends as soon as
-    the subscriber that was killed works again, and the emulator serves until it is stopped."""
+    """The emulator stands in for the hardware. The run ends when the subscriber that was killed
+    has had its time to come back, and the emulator serves until it is stopped."""
     (tmp_path / "s.toml").write_text(
         'bundle = "box"\nphysics = "scene"\ncontacts = 2\n'
-        "expect = {found = false, recovery_s = 60.0}\n"
+        "expect = {found = false, recovery_s = 30.0}\n"
         '[[fault]]\nkind = "reboot"\nat_s = 1.0\n'
         '[[fault]]\nkind = "subscriber_dead"\nat_s = 2.0\nfor_s = 0.5\n',
         encoding="utf-8",

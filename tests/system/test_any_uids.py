@@ -46,7 +46,7 @@ def test_a_layout_of_any_uids_comes_as_an_array_and_no_bus_carries_it(layout: Pa
     demo = replace(DEMO.on("scene", str(layout)), contacts=2)
     grade = FakeRun(demo, 0).graded("demo")
     assert (grade.run.scenario.transport, grade.figures["contacts"]) == ("array", 2)
-    with pytest.raises(SetupError, match="skin has other UIDs: without --transport or --can it"):
+    with pytest.raises(SetupError, match="skin has other UIDs: it comes as an array"):
         Rig(demo.over("slcan"), 0)
     larger = subjects(Asked("box", str(layout), "scene"), layout.parent)["larger patch"]
     assert len(set(layouts.load(larger.layout).uid)) == 2 * len(SKIN)

@@ -19,6 +19,8 @@ GONE: dict[str, str] = {
     "taxeld-hil soak --lap": "a soak's report has a row a lap",
     "taxeld-hil soak --no-faults": "a scenario without faults has none: 'taxeld-hil matrix demo'",
     "taxeld-hil soak --frozen": "a soak's daemon learns, as every daemon does",
+    "taxeld-hil run --transport": "the scenario's file has its transport",
+    "taxeld-hil matrix --real": "'taxeld-hil run' plays a scenario in real time",
     "taxeld-hil run --limit-s": "a run on hardware may take two minutes a contact",
     "taxeld-train evaluate ablation": WHOLE,
     "taxeld-train evaluate filter": WHOLE,

@@ -23,8 +23,6 @@ def add(commands: Commands) -> None:
 
     matrix = documented(commands, _matrix)
     matrix.add_argument("scenario", nargs="*", metavar="SCENARIO", help="default: all shipped")
-    about = "run the scenarios whose faults need real time in real time"
-    matrix.add_argument("--real", action="store_true", help=about)
     about = f"default: {', '.join(OBJECTS)}"
     matrix.add_argument("--object", action="append", metavar="BUNDLE", help=about)
     options.add_layouts(matrix, "what each object's bundle was built for")
@@ -120,7 +118,7 @@ def _matrix(args: argparse.Namespace) -> int:
     names = args.scenario or list(scenarios.shipped())
     objects, foams = args.object or OBJECTS, args.foam or args.foams
     layouts = options.layouts(args.layout)
-    todo = matrix.jobs(names, objects, foams, args.seeds, real=args.real, layouts=layouts)
+    todo = matrix.jobs(names, objects, foams, args.seeds, layouts)
     runs = _done(todo, args, matrix.described)
     measurement.save(args.out / "scenarios.json", runs)
     print("\n".join(matrix.lines(runs)))

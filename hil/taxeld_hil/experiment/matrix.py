@@ -7,8 +7,7 @@ from pathlib import Path
 from taxeld.errors import SetupError
 from taxeld_hil.experiment.measurement import RunRow, about, digest, row, title
 from taxeld_hil.jobs import Job
-from taxeld_hil.run.fake_run import NOT_INJECTED, FakeRun
-from taxeld_hil.run.live import SimulatedRun
+from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import solid_of
@@ -20,13 +19,10 @@ def jobs(
     objects: Sequence[str],
     skins: Sequence[str],
     seeds: int,
-    *,
-    real: bool,
     layouts: Sequence[str],
 ) -> list[Job]:
     """A job for each run of scenarios with bundles, skins and layouts, seed by seed, so that a part
-    of them is as fair as all. With `real`, a scenario with a fault that no fake clock can inject
-    runs in real time.
+    of them is as fair as all.
 
     Raises:
         SetupError: there is no such scenario, object or skin, an object has no mesh here, or there
@@ -42,29 +38,16 @@ def jobs(
         model = load_model(subject)
         if subject.physics != "scene":
             solid_of(subject.bundle, model.layout)
-    found = []
-    for seed, (name, subject) in product(range(seeds), subjects):
-        in_real_time = real and any(fault.kind in NOT_INJECTED for fault in subject.fault)
-        words = title(name, subject, seed) + ", real time" * in_real_time
-        arguments = (name, subject, seed, in_real_time)
-        found.append(Job(words, play, arguments, code=digest(subject)))
-    return found
+    return [
+        Job(title(name, subject, seed), play, (name, subject, seed), code=digest(subject))
+        for seed, (name, subject) in product(range(seeds), subjects)
+    ]
 
 
-def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> RunRow:
+def play(name: str, subject: Scenario, seed: int) -> RunRow:
     """The figures of one run."""
-    stem = Path(name).stem
-    if in_real_time:
-        with SimulatedRun(subject, seed) as run:
-            grade = run.graded(stem)
-    else:
-        grade = FakeRun(subject, seed).graded(stem)
-    return {
-        "scenario": name,
-        **about(subject, seed),
-        "real": in_real_time,
-        **row(grade),
-    }
+    graded = FakeRun(subject, seed).graded(Path(name).stem)
+    return {"scenario": name, **about(subject, seed), **row(graded)}
 
 
 def described(run: RunRow) -> str:

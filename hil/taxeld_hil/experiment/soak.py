@@ -1,7 +1,7 @@
 """`taxeld-hil soak`: random faults from a seed, for hours of scans, on one daemon.
 
 Lap follows lap: the daemon keeps its counters and its memory, and with each lap the object stands
-elsewhere and is looked for anew. A soak is a job; its result has a row a lap.
+elsewhere and is looked for anew. A soak is a job; each lap leaves a session, whose grade is a row.
 """
 
 import math
@@ -54,11 +54,11 @@ def play(base: Scenario, seed: int, hours: float, real: bool) -> RunRow:
         while not rows or _hours(rows) < hours:
             if number := len(rows):
                 run.lap(laps.lap(base, seed, number, kinds), seed + number)
-            grade = run.graded(f"lap {number}")
+            graded = run.graded(f"lap {number}")
             pid = run.daemon.process.pid if isinstance(run, SimulatedRun) else "self"
-            memory = {"seconds": grade.run.end_s, "rss_mb": round(resident_mb(pid), 1)}
-            rows.append(row(grade) | memory)
-    gaps = (abs(law["expected"] - law["counted"]) - law["slack"] for law in grade.figures["laws"])
+            memory = {"seconds": graded.run.end_s, "rss_mb": round(resident_mb(pid), 1)}
+            rows.append(row(graded) | memory)
+    gaps = (abs(law["expected"] - law["counted"]) - law["slack"] for law in graded.figures["laws"])
     unexplained = sum(max(gap, 0) for gap in gaps)
     return {**about(base, seed), "real": real, "unexplained": unexplained, "laps": rows}
 
@@ -67,14 +67,15 @@ def _hours(rows: Iterable[RunRow]) -> float:
     return math.fsum(each["seconds"] for each in rows) / 3600.0
 
 
-def misled_after(lap: RunRow) -> Counter[str]:
-    """The faults that explain what misled in a lap. The daemon remembers what a deceptive fault
-    made it believe, so the last of these explains it; without one the last fault before."""
+def misled_after(run: RunRow) -> Counter[str]:
+    """The faults that explain what misled. The daemon remembers what a deceptive fault made it
+    believe, so the last of these in a lap explains it; without one the last fault before."""
     found = Counter[str]()
-    for at_s in lap["misleading_at_s"]:
-        begun = [each["kind"] for each in lap["faults"] if each["at_s"] <= at_s]
-        deceived = [kind for kind in begun if kind in laps.DECEPTIVE]
-        found[(deceived or begun or ["none"])[-1]] += 1
+    for lap in run["laps"]:
+        for at_s in lap["misleading_at_s"]:
+            begun = [each["kind"] for each in lap["faults"] if each["at_s"] <= at_s]
+            deceived = [kind for kind in begun if kind in laps.DECEPTIVE]
+            found[(deceived or begun or ["none"])[-1]] += 1
     return found
 
 
@@ -103,9 +104,8 @@ def growth_mb(run: RunRow) -> float:
 def passed(run: RunRow) -> bool:
     """Nothing unaccounted for, all recovered, memory flat; and nothing misleading but after
     faults that look like a touch elsewhere."""
-    misled = sum(map(misled_after, run["laps"]), Counter[str]())
     lost = run["unexplained"] or not_recovered(run) or growth_mb(run) >= GROWTH_MAX_MB
-    return not lost and misled.keys() <= {*laps.DECEPTIVE}
+    return not lost and misled_after(run).keys() <= {*laps.DECEPTIVE}
 
 
 def described(run: RunRow) -> str:
@@ -113,7 +113,6 @@ def described(run: RunRow) -> str:
     rows = run["laps"]
     sure = [lap["found"] and lap["status"] == "converged" for lap in rows]
     full = [one for one, lap in zip(sure, rows, strict=True) if lap["contacts"] >= laps.CONTACTS]
-    misled = sum(map(misled_after, rows), Counter[str]())
     recovered_s = [each["recovered_s"] or 0.0 for each in faults(run) if not each["overlapped"]]
     parts = [
         "passed" if passed(run) else "failed",
@@ -122,9 +121,9 @@ def described(run: RunRow) -> str:
         f"{len(faults(run))} faults, worst recovery {max(recovered_s, default=0.0):.2f} s",
         f"unexplained {run['unexplained']}",
         f"memory {growth_mb(run):+.1f} MB",
+        *(f"misleading after {kind} {count}" for kind, count in misled_after(run).items()),
+        *(f"not recovered from {kind} {count}" for kind, count in not_recovered(run).items()),
     ]
-    for what, counts in (("misleading after", misled), ("not recovered from", not_recovered(run))):
-        parts += [f"{what} {kind} {count}" for kind, count in counts.items()]
     return "; ".join(parts)
 
 

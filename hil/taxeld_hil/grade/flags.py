@@ -72,48 +72,45 @@ class FaultSigns:
     overlapped: bool = False  # another fault was not over, or began before the recovery
 
 
+STALE, DOUBT = (Status.STALE,), (Status.INCONSISTENT,)
+FLAGS = {
+    "dropped": Flag(HEALTH_S, (*BROKEN, "source.missed")),
+    "corrupted": Flag(HEALTH_S, BROKEN[:2]),
+    "duplicated": Flag(HEALTH_S, BROKEN),
+    "reordered": Flag(HEALTH_S, BROKEN),
+    "late": Flag(HEALTH_S, (*BROKEN, "source.missed")),
+    "flooded": Flag(HEALTH_S, ("source.dropped.foreign",)),
+    "module_dead": Flag(HEALTH_S, taxels="dead_taxels"),
+    "taxel_stuck": Flag(STUCK_S, ("estimator.stuck",), "stuck_taxels"),
+    "saturated": Flag(HEALTH_S, taxels="saturated_taxels"),
+    "baseline_jump": Flag(JUMP_S, ("estimator.stuck", "skin.lowered"), status=DOUBT),
+    "reboot": Flag(STALE_S, status=STALE),
+    "unplugged": Flag(STALE_S, status=STALE),
+    "adapter_closed": Flag(STALE_S, status=STALE),
+    "pose_silent": Flag(POSE_STALE_S, status=STALE),
+    "pose_late": Flag(POSE_STALE_S, status=STALE),
+    "pose_jumping": Flag(HEALTH_S, ("estimator.jumps",), status=DOUBT),
+    "daemon_killed": Flag(0.5, silence=True),
+}
+ON_LINE = {"flooded": FLAGS["corrupted"], "duplicated": None, "reordered": None, "late": None}
+
+
 def flag_of(fault: Fault, transport: str) -> Flag | None:
     """How a daemon on this transport must show a fault; None: it cannot be detected, or is over
     before it must be."""
-    flag = _flag(fault, transport == "native", transport == "slcan")
-    lasting = flag is not None and (flag.taxels or fault.kind == "baseline_jump")
-    return None if lasting and flag is not None and fault.for_s < flag.within_s else flag
-
-
-def _flag(fault: Fault, line: bool, slcan: bool) -> Flag | None:
-    stale, doubt = (Status.STALE,), (Status.INCONSISTENT,)
-    match fault.kind:
-        case "dropped":
-            return Flag(HEALTH_S, (*BROKEN, "source.missed"))
-        case "corrupted":
-            return Flag(HEALTH_S, BROKEN[:2])
-        case "duplicated" | "reordered" if not line:
-            return Flag(HEALTH_S, BROKEN)
-        case "late" if fault.share < 1.0 and not line:
-            return Flag(HEALTH_S, (*BROKEN, "source.missed"))
-        case "flooded":
-            return Flag(HEALTH_S, BROKEN[:2] if line else ("source.dropped.foreign",))
-        case "module_dead":
-            return Flag(HEALTH_S, taxels="dead_taxels")
-        case "taxel_stuck":
-            return Flag(STUCK_S, ("estimator.stuck",), "stuck_taxels")
-        case "saturated":
-            return Flag(HEALTH_S, taxels="saturated_taxels")
-        case "baseline_jump":
-            return Flag(JUMP_S, ("estimator.stuck", "skin.lowered"), status=doubt)
-        case "reboot" | "unplugged":
-            return Flag(STALE_S, status=stale)
-        case "adapter_closed" if slcan:
-            return Flag(STALE_S, status=stale)
-        case "pose_silent":
-            return Flag(POSE_STALE_S, status=stale)
-        case "pose_late" if fault.delay_s > POSE_STALE_S:
-            return Flag(POSE_STALE_S, status=stale)
-        case "pose_jumping":
-            return Flag(HEALTH_S, ("estimator.jumps",), status=doubt)
-        case "daemon_killed":
-            return Flag(0.5, silence=True)
-    return None
+    flag = FLAGS.get(fault.kind)
+    if transport == "native":
+        flag = ON_LINE.get(fault.kind, flag)
+    hidden = {
+        "late": fault.share >= 1.0,
+        "adapter_closed": transport != "slcan",
+        "pose_late": fault.delay_s <= POSE_STALE_S,
+        # these must last
+        "baseline_jump": fault.for_s < JUMP_S,
+        **dict.fromkeys(("module_dead", "saturated"), fault.for_s < HEALTH_S),
+        "taxel_stuck": fault.for_s < STUCK_S,
+    }
+    return None if hidden.get(fault.kind) else flag
 
 
 def value(health: Health, path: str) -> int:

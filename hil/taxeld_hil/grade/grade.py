@@ -232,9 +232,10 @@ def lines(graded: Grade) -> Iterator[str]:
         yield "latency [ms]   median     p99     max"
         for stage, of in figures["latency_ms"].items():
             yield f"{stage:12s} {of['p50']:8.2f} {of['p99']:7.2f} {of['max']:7.2f}"
-    if figures["error_mm"] is not None:
-        about = "mean distance of the object's points, up to its symmetry"
-        yield f"final error {figures['error_mm']:.1f} mm ({about})"
+    if (error_mm := figures["error_mm"]) is not None:
+        yield f"final error {error_mm:.1f} mm (mean distance of its points, up to its symmetry)"
+    elif "sure" in figures:
+        yield "final error unknown: the last estimate is not valid"
     if run.scenario.advised:
         after = figures["sure_after"]
         yield f"advised: sure after {after} contacts" if after else "advised: not sure"

@@ -87,9 +87,6 @@ class PublishedFile:
     def add(self, t: float, topic: bytes, body: bytes) -> None:
         self._file.write(msgpack.packb((t, topic, body)))
 
-    def flush(self) -> None:
-        self._file.flush()
-
 
 @dataclass(frozen=True, slots=True)
 class Reception:

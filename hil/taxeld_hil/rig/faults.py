@@ -4,9 +4,8 @@ It has no clock and draws from a seeded generator, so that a run on the fake clo
 time get the same faults. The ledger counts all that it does.
 """
 
-import heapq
 from collections.abc import Mapping, Sequence
-from itertools import count
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -19,6 +18,23 @@ from taxeld_protocol.serial_link import DELIMITER
 FOREIGN_IDS = (0x000, 0x300, 0x600, 0x700)  # assembly bits that are no fragment's
 COUNT_MAX = 0xFFFF
 PoseRow = tuple[float, float, float, float]  # t, x, y, θ
+T = TypeVar("T")
+
+
+class Delayed(Generic[T]):
+    """What comes later than it was sent."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[float, T]] = []
+
+    def add(self, due_s: float, item: T) -> None:
+        self._waiting.append((due_s, item))
+
+    def ready(self, t: float) -> list[T]:
+        """What is due, in the order of its times."""
+        ready = sorted((each for each in self._waiting if each[0] <= t), key=lambda each: each[0])
+        self._waiting = [each for each in self._waiting if each[0] > t]
+        return [item for _, item in ready]
 
 
 class Injector:
@@ -35,80 +51,55 @@ class Injector:
         """`modules`: the channels of each module's taxels; `taxels`: the channel of each taxel."""
         self._faults = sorted(faults, key=lambda fault: fault.at_s)
         self._rng = np.random.default_rng([seed, 1])
-        self._ledger = ledger
+        self._done = ledger.done
         self._modules, self._taxels = modules, taxels
-        self._active: dict[str, Fault] = {}
-        self._edge_s = -np.inf  # when `_active` changes next
-        self._order = count()
-        self._late: list[tuple[float, int, WireUnit]] = []
-        self._late_poses: list[tuple[float, PoseRow]] = []
+        self._late, self._late_poses = Delayed[WireUnit](), Delayed[PoseRow]()
         self._swapped: WireUnit | None = None
         self._stuck: dict[int, int] = {}
         self._frozen: PoseRow | None = None
         self._flooded_s: float | None = None
 
-    def active(self, t: float) -> dict[str, Fault]:
-        """The faults at time t, by kind."""
-        if t >= self._edge_s:
-            before = self._active
-            self._faults = [fault for fault in self._faults if fault.end_s > t]
-            self._active = {f.kind: f for f in self._faults if f.at_s <= t}
-            edges = [f.end_s if f.at_s <= t else f.at_s for f in self._faults]
-            self._edge_s = min(edges, default=np.inf)
-            for kind, fault in self._active.items():
-                self._ledger.done[f"{kind} windows"] += before.get(kind) is not fault
-        return self._active
+    def fault(self, kind: str, t: float) -> Fault | None:
+        """The fault of this kind at time t, the last to begin of several."""
+        on = (f for f in self._faults if f.kind == kind and f.at_s <= t < f.end_s)
+        return max(on, key=lambda fault: fault.at_s, default=None)
 
     def is_quiet(self, t: float) -> bool:
         """Whether units pass unchanged."""
-        return not self.active(t) and self._swapped is None
+        return self._swapped is None and not any(f.at_s <= t < f.end_s for f in self._faults)
 
     def counts(self, counts: list[int], t: float) -> list[int | None]:
         """A scan as the faulty skin reads it; None where a module sends nothing."""
-        active = self.active(t)
         out: list[int | None] = list(counts)
-        if fault := active.get("baseline_jump"):
+        if fault := self._acts("baseline_jump", t):
             for c in self._channels(fault):
                 out[c] = int(min(max(counts[c] + fault.counts, 1), COUNT_MAX - 1))
-            self._ledger.done["baseline_jump"] += 1
-        if fault := active.get("taxel_stuck"):
+        if fault := self._acts("taxel_stuck", t):
             for c in self._channels(fault):
                 out[c] = self._stuck.setdefault(c, counts[c])
-            self._ledger.done["taxel_stuck"] += 1
         else:
             self._stuck = {}
-        if fault := active.get("saturated"):
+        if fault := self._acts("saturated", t):
             for c in self._channels(fault):
                 out[c] = COUNT_MAX
-            self._ledger.done["saturated"] += 1
-        if fault := active.get("module_dead"):
+        if fault := self._acts("module_dead", t):
             channels = self._modules[fault.module]
             out[channels[0] - 1 : channels[-1] + 1] = [None] * (len(channels) + 1)  # with T0
-            self._ledger.done["module_dead"] += 1
         return out
 
     def unit(self, unit: WireUnit, t: float) -> list[WireUnit]:
         """The units on the wire when the hub sends this one."""
-        active, done = self.active(t), self._ledger.done
-        if self._hits(active.get("dropped")):
-            done["dropped"] += 1
+        if self._hits("dropped", t):
             return []
-        if self._hits(active.get("corrupted")):
-            done["corrupted"] += 1
+        if self._hits("corrupted", t):
             unit = self._damaged(unit)
-        if self._hits(active.get("late")):
-            done["late"] += 1
-            entry = t + active["late"].delay_s, next(self._order), unit
-            heapq.heappush(self._late, entry)
+        if fault := self._hits("late", t):
+            self._late.add(t + fault.delay_s, unit)
             return []
-        if self._swapped is None and self._hits(active.get("reordered")):
-            done["reordered"] += 1
+        if self._swapped is None and self._hits("reordered", t):
             self._swapped = unit
             return []
-        out = [unit]
-        if self._hits(active.get("duplicated")):
-            done["duplicated"] += 1
-            out.append(unit)
+        out = [unit, unit] if self._hits("duplicated", t) else [unit]
         if self._swapped is not None:
             out.append(self._swapped)
             self._swapped = None
@@ -116,63 +107,55 @@ class Injector:
 
     def due(self, t: float, *, line: bool) -> list[WireUnit]:
         """Late units whose time has come, and what floods the bus (or the `line`) meanwhile."""
-        out = []
-        while self._late and self._late[0][0] <= t:
-            out.append(heapq.heappop(self._late)[2])
-        fault = self.active(t).get("flooded")
+        out, fault = self._late.ready(t), self.fault("flooded", t)
         if fault is None:
             self._flooded_s = None
             return out
         since = t if self._flooded_s is None else self._flooded_s
         number = int((t - since) * fault.per_s)
         self._flooded_s = since + number / fault.per_s
-        self._ledger.done["flooded"] += number
+        self._done["flooded"] += number
         return out + [self._foreign(t, line=line) for _ in range(number)]
 
     def flush(self) -> list[WireUnit]:
-        """All that is held back, at the end of a run."""
-        out = [unit for _, _, unit in sorted(self._late)]
-        if self._swapped is not None:
-            out.append(self._swapped)
-        self._late, self._swapped = [], None
+        """All that is held back, at the end of a run, or as the device is gone."""
+        out = self._late.ready(np.inf) + ([] if self._swapped is None else [self._swapped])
+        self._swapped = None
         return out
-
-    def drop_held(self) -> None:
-        """Forget what is held back, as the device is gone."""
-        self._late, self._swapped = [], None
 
     def poses(self, row: PoseRow, t: float) -> list[PoseRow]:
         """The poses that the robot publishes at scenario time t, when it is at this one."""
-        active, done = self.active(t), self._ledger.done
-        out = [row]
-        if "pose_frozen" in active:
-            done["pose_frozen"] += 1
+        if self._acts("pose_frozen", t):
             self._frozen = self._frozen or row
-            out = [(row[0], *self._frozen[1:])]
+            row = (row[0], *self._frozen[1:])
         else:
             self._frozen = None
-        if self._hits(active.get("pose_jumping")):
-            done["pose_jumping"] += 1
-            out = [(row[0], row[1] + active["pose_jumping"].offset_m, row[2], row[3])]
-        if "pose_silent" in active:
-            done["pose_silent"] += 1
+        if fault := self._hits("pose_jumping", t):
+            row = (row[0], row[1] + fault.offset_m, row[2], row[3])
+        out = [] if self._acts("pose_silent", t) else [row]
+        if out and (fault := self._acts("pose_late", t)):
+            self._late_poses.add(t + fault.delay_s, row)
             out = []
-        if fault := active.get("pose_late"):
-            done["pose_late"] += len(out)
-            self._late_poses += [(t + fault.delay_s, late) for late in out]
-            out = []
-        ready = sum(due <= t for due, _ in self._late_poses)
-        released = [late for _, late in self._late_poses[:ready]]
-        del self._late_poses[:ready]
-        return released + out
+        return self._late_poses.ready(t) + out
+
+    def _acts(self, kind: str, t: float) -> Fault | None:
+        fault = self.fault(kind, t)
+        if fault is not None:
+            self._done[kind] += 1
+        return fault
+
+    def _hits(self, kind: str, t: float) -> Fault | None:
+        """The fault, if it hits this frame or pose: by its share."""
+        fault = self.fault(kind, t)
+        if fault is None or (fault.share < 1.0 and self._rng.random() >= fault.share):
+            return None
+        self._done[kind] += 1
+        return fault
 
     def _channels(self, fault: Fault) -> Sequence[int]:
         if fault.taxels:
             return [self._taxels[taxel] for taxel in fault.taxels]
         return self._modules[fault.module]
-
-    def _hits(self, fault: Fault | None) -> bool:
-        return fault is not None and (fault.share >= 1.0 or self._rng.random() < fault.share)
 
     def _damaged(self, unit: WireUnit) -> WireUnit:
         """The unit with one bit flipped, in a frame's data or in a line before its end."""

@@ -64,8 +64,6 @@ class Ledger:
     period_s: float  # infinite where it is not known when the host reads
     fates: Fates = field(default_factory=Fates)
     done: Counter[str] = field(default_factory=Counter)  # acts of the injector, by kind of fault
-    scans_sent: int = 0
-    packets_sent: int = 0
     poses_sent: int = 0
     poses_heard: int = 0  # poses that this host heard
     refused: int = 0  # units that the host did not make room for
@@ -110,28 +108,19 @@ class Ledger:
         else:
             self._frame(unit, unit.sent, t)
 
-    def deliver_all(self, units: list[WireUnit], t: float) -> None:
-        """Note the delivery of several units."""
-        for unit in units:
-            self.deliver(unit, t)
-
     def add(self, other: "Ledger") -> None:
         """Count what another ledger of the same host has counted."""
         for name in asdict(self.fates):
             setattr(self.fates, name, getattr(self.fates, name) + getattr(other.fates, name))
-        for name in ("scans_sent", "packets_sent", "poses_sent", "poses_heard", "refused"):
-            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.poses_heard += other.poses_heard
         self.done += other.done
         self.hosts = other.hosts
 
     def entries(self) -> dict[str, Any]:
-        """For a report."""
-        names = ("scans_sent", "packets_sent", "poses_sent", "poses_heard", "refused", "hosts")
-        return {
-            "done": dict(sorted(self.done.items())),
-            **{name: getattr(self, name) for name in (*names, "knows_pauses")},
-            "fates": asdict(self.fates),
-        }
+        """As a session keeps it."""
+        names = ("poses_heard", "refused", "hosts", "knows_pauses")
+        counts = {name: getattr(self, name) for name in names}
+        return {"done": dict(sorted(self.done.items())), **counts, "fates": asdict(self.fates)}
 
     def _line(self, unit: WireUnit, line: bytes, t: float) -> None:
         self.fates.bytes += len(line)

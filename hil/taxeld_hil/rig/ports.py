@@ -13,7 +13,7 @@ import termios
 import tty
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import can
 import zmq
@@ -32,26 +32,26 @@ READ_BYTES = 65536
 OUTBOX_BYTES = 65536  # beyond what the kernel takes: some tenths of a second of a saturated bus
 
 
-class Port(Protocol):
-    """A transport, as a bench uses it."""
+class Port:
+    """A transport, as a bench uses it. Unless it says otherwise it stays where it is: it cannot be
+    pulled out, and keeps nothing back."""
 
-    is_open: bool  # whether a host listens
-
-    def fileno(self) -> int: ...
+    is_open = False  # whether a host listens
 
     def take(self, t: float) -> list[Packet]:
         """The host's requests that have come; `t` stamps their frames."""
-        ...
+        raise NotImplementedError
 
     def send(self, unit: WireUnit) -> bool:
         """Hand a unit to the host; False: there was no room."""
-        ...
+        raise NotImplementedError
 
     def flush(self) -> None:
         """Hand over what waits."""
 
     def forget(self) -> None:
         """The host has died."""
+        self.is_open = False
 
     def set_plugged(self, plugged: bool) -> None:
         """Pull out the device, once what was sent is read; or plug it in."""
@@ -59,14 +59,15 @@ class Port(Protocol):
     def close_channel(self) -> None:
         """Another process closes the adapter's channel."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        raise NotImplementedError
 
 
-class _Terminal:
+class Terminal(Port):
     """A pseudo-terminal behind a name that outlives it."""
 
     def __init__(self, link: Path) -> None:
-        self.is_open = False
+        """Raises SetupError where the name cannot be had."""
         self._link = link
         self._fds: tuple[int, int] | None = None
         self._outbox = bytearray()
@@ -91,8 +92,10 @@ class _Terminal:
             except OSError as error:
                 self._free()
                 raise SetupError(f"{self._link}: cannot be made ({error.strerror})") from None
-        elif not plugged and self._fds is not None and self._is_read():
-            self.close()
+        elif not plugged and self._fds is not None:
+            is_read = not self.waiting() and not self._outbox
+            if is_read or not self.is_open:
+                self.close()
 
     def _make_link(self, to: str) -> None:
         """Link to a terminal, in place of a killed process's link. Raises OSError."""
@@ -108,24 +111,19 @@ class _Terminal:
         return int(struct.unpack("i", found)[0])
 
     def forget(self) -> None:
-        self.is_open = False
+        super().forget()
         self._outbox.clear()
 
-    def close_channel(self) -> None:
-        """There is none."""
-
     def flush(self) -> None:
-        if self._fds is None or not self._outbox:
-            return
-        with contextlib.suppress(BlockingIOError):
-            del self._outbox[: os.write(self._fds[0], self._outbox)]
+        if self._fds is not None and self._outbox:
+            with contextlib.suppress(BlockingIOError):
+                del self._outbox[: os.write(self._fds[0], self._outbox)]
 
     def close(self) -> None:
-        if self._fds is None:
-            return
-        self._link.unlink()
-        self._free()
-        self.forget()
+        if self._fds is not None:
+            self._link.unlink()
+            self._free()
+            self.forget()
 
     def _free(self) -> None:
         for fd in self._fds or ():
@@ -149,11 +147,8 @@ class _Terminal:
                 raise
             return b""
 
-    def _is_read(self) -> bool:
-        return not self.is_open or (not self.waiting() and not self._outbox)
 
-
-class SlcanPort(_Terminal):
+class SlcanPort(Terminal):
     """A USB-CAN adapter with the hub on its bus."""
 
     def __init__(self, link: Path, on_frame: Callable[[Frame], None], kind: str = "plain") -> None:
@@ -193,12 +188,12 @@ class SlcanPort(_Terminal):
         super().set_plugged(plugged)
 
     def close_channel(self) -> None:
-        """Close the channel, as another process does by writing C to the device."""
+        """… as it does by writing C to the device."""
         self.adapter.host(b"C")
         self.is_open = False
 
 
-class NativePort(_Terminal):
+class NativePort(Terminal):
     """A hub on a serial line of its own; the host counts as listening from its first request on, as
     a USB device sees its port opened."""
 
@@ -215,25 +210,6 @@ class NativePort(_Terminal):
         return isinstance(unit.item, bytes) and self._write(unit.item)
 
 
-class _Fixed:
-    """A port that stays where it is: it cannot be pulled out, and keeps nothing back."""
-
-    def __init__(self) -> None:
-        self.is_open = False
-
-    def flush(self) -> None:
-        """What was sent is gone."""
-
-    def forget(self) -> None:
-        self.is_open = False
-
-    def set_plugged(self, plugged: bool) -> None:
-        """Without power nothing is sent; that is all."""
-
-    def close_channel(self) -> None:
-        """There is none."""
-
-
 def is_heard(xpub: zmq.Socket[Any], prefixes: set[bytes], topic: bytes = b"") -> bool:
     """Whether somebody listens to a topic. ZeroMQ tells when a prefix gets its first subscriber and
     when it loses its last; `prefixes` keeps the subscribed ones from call to call."""
@@ -243,12 +219,11 @@ def is_heard(xpub: zmq.Socket[Any], prefixes: set[bytes], topic: bytes = b"") ->
     return any(topic.startswith(prefix) for prefix in prefixes)
 
 
-class ArrayPort(_Fixed):
+class ArrayPort(Port):
     """A skin that publishes arrays; a host's subscription starts it."""
 
     def __init__(self, where: Path) -> None:
         """Raises SetupError where the path cannot be had."""
-        super().__init__()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.XPUB)
         self._socket.setsockopt(zmq.LINGER, 0)
@@ -258,9 +233,6 @@ class ArrayPort(_Fixed):
         except zmq.ZMQError as error:
             self.close()
             raise SetupError(f"{where}: cannot be made ({error.strerror})") from None
-
-    def fileno(self) -> int:
-        return int(self._socket.getsockopt(zmq.FD))
 
     def take(self, t: float) -> list[Packet]:
         was_open, self.is_open = self.is_open, is_heard(self._socket, self._prefixes)
@@ -278,12 +250,11 @@ class ArrayPort(_Fixed):
         self._context.term()
 
 
-class CanPort(_Fixed):
+class CanPort(Port):
     """A hub on a CAN interface, such as vcan0, that something else brings up and down."""
 
     def __init__(self, interface: str, on_frame: Callable[[Frame], None]) -> None:
         """Raises SetupError where there is no such interface."""
-        super().__init__()
         self._on_frame = on_frame
         self._requests = HubLink()
         try:
@@ -291,17 +262,13 @@ class CanPort(_Fixed):
         except (can.CanError, OSError) as error:
             raise SetupError(f"cannot open {interface} ({error})") from None
 
-    def fileno(self) -> int:
-        return int(self._bus.fileno())
-
     def take(self, t: float) -> list[Packet]:
         packets = []
         with contextlib.suppress(can.CanError, OSError):  # a bus that is down has no frames
             # not `recv`, whose time-out is taken from a wall clock that may be set back
             while message := self._bus._recv_internal(0.0)[0]:
-                frame = Frame(
-                    t, message.arbitration_id, bytes(message.data), message.is_extended_id
-                )
+                data, extended = bytes(message.data), message.is_extended_id
+                frame = Frame(t, message.arbitration_id, data, extended)
                 self._on_frame(frame)
                 packets.append(self._requests.feed(frame))
         self.is_open = self.is_open or bool(packets)
@@ -310,9 +277,8 @@ class CanPort(_Fixed):
     def send(self, unit: WireUnit) -> bool:
         if not isinstance(unit.item, Frame):
             return False
-        message = can.Message(
-            arbitration_id=unit.item.can_id, data=unit.item.data, is_extended_id=unit.item.extended
-        )
+        number, data, extended = unit.item.can_id, unit.item.data, unit.item.extended
+        message = can.Message(arbitration_id=number, data=data, is_extended_id=extended)
         try:
             self._bus.send(message, timeout=0.0)
         except (can.CanError, OSError):

@@ -59,8 +59,8 @@ class Rig:
         if not self._channel.keys() >= set(self._taxel_uids):
             raise SetupError(
                 f"transport: {scenario.transport} is of modules with taxels 1..{NAMES - 1}, and "
-                f"{self.model.layout.name} has other UIDs: without --transport or --can it comes "
-                "as an array"
+                f"{self.model.layout.name} has other UIDs: it comes as an array, "
+                "without --can"
             )
         self.world = make_world(scenario, self.model, self.modules, seed + self._own_seeds)
         if link:
@@ -144,12 +144,11 @@ class Rig:
 
     def fails(self, kind: str, t: float) -> bool:
         """Whether a fault of this kind is on; asked for those that the rig's owner carries out."""
-        return kind in self._injector.active(t)
+        return self._injector.fault(kind, t) is not None
 
     def is_on(self, t: float) -> bool:
         """Whether the hub has power and its firmware runs."""
-        active = self._injector.active(t)
-        return "reboot" not in active and "unplugged" not in active
+        return not self.fails("reboot", t) and not self.fails("unplugged", t)
 
     def answer(self, packet: Packet, t: float) -> list[WireUnit]:
         """The answers to a host's request."""
@@ -166,7 +165,6 @@ class Rig:
         out = [] if self.is_array else self._injector.due(t, line=self.line)
         if t >= 0.0 and self.hub.due(now):
             counts = self._injector.counts(self.world.counts(self.pose(t), now), t)
-            self.ledger.scans_sent += 1
             if self.is_array:
                 return [self._array(counts, now)]
             for answer in self.hub.sensor_data(counts):
@@ -197,7 +195,7 @@ class Rig:
         if self._was_on and not on:  # a hub without power forgets its settings
             self.hub.reboot()
             self.hub.auto_sync = self.is_array
-            self._injector.drop_held()
+            self._injector.flush()
         self._was_on = on
         return on
 
@@ -207,7 +205,6 @@ class Rig:
         return WireUnit(ArrayFrame(now, ARRAY_ID, 0, tuple(taxels)), None)
 
     def _send(self, command: int, payload: bytes, t: float) -> list[WireUnit]:
-        self.ledger.packets_sent += 1
         if self.line:
             line = serial_link.encode(command, payload, ihb=self.hub.short_id)
             units = [WireUnit(line, self._sent(line, command, payload, 1))]

@@ -1,7 +1,6 @@
 """Runs in real time: the daemon is a process of its own, fed by a virtual skin or by hardware."""
 
 import tempfile
-import threading
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
@@ -13,22 +12,17 @@ import msgpack
 import numpy as np
 import zmq
 
-from taxeld.advice.advice import Advice
 from taxeld.arrays import Poses
-from taxeld.commands.advise import Adviser, remembered
-from taxeld.config import file as config_file
-from taxeld.config.tables import Config, SceneConfig
+from taxeld.config.tables import SceneConfig
 from taxeld.door.binding import bound
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model.scene import Scene
 from taxeld.proposals import bundle
-from taxeld.service.kept import MEMORY_S
 from taxeld.source.recorder import Recorder
 from taxeld.stream import topics
-from taxeld_hil.grade.flags import signs
 from taxeld_hil.grade.reconcile import laws
-from taxeld_hil.grade.session import Run, read
+from taxeld_hil.grade.session import Run
 from taxeld_hil.rig.bench import Bench
 from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S, Rig
 from taxeld_hil.run.processes import LiveDaemon
@@ -40,12 +34,10 @@ from taxeld_hil.world.world import load_model
 
 START_S = 60.0  # until the first scan; a busy machine has taken 20 s to start a daemon
 STEP_MS = 2
+VCAN = "vcan0"  # of transport can
 COUNTED_S = 20.0  # at most, until the daemon has counted all that it was sent
 DRAIN_S = 0.2
 CONTACT_S = 120.0  # on hardware: longest that the operator may take for each contact
-LOOK_S = 1.0  # between two looks whether all faults have been recovered from
-PAUSE_S = 0.1  # between two questions for advice
-REST_S = MEMORY_S + 0.5  # after which the daemon has handed over the last touch
 NOT_INJECTED = {  # transport → kinds of faults
     "can": ("unplugged", "adapter_closed"),  # something else brings the interface up and down
     "native": ("adapter_closed",),
@@ -70,7 +62,7 @@ class LiveRun(SessionRun):
             SetupError: the scenario needs the fake clock, or the daemon would refuse a bundle on
                 this layout.
         """
-        self.scenario, self._say = scenario.one_link(), say
+        self.scenario, self._say = scenario.in_real_time(), say
         self._health: dict[str, Any] = {}  # the last
         self._is_over = False  # all is sent, and counters alone are waited for
         known = SceneConfig(bundles=scenario.known)
@@ -144,25 +136,19 @@ class SimulatedRun(LiveRun):
     """A virtual skin and robot feed the daemon over a real transport; or several scenarios do, lap
     by lap."""
 
-    def __init__(
-        self, scenario: Scenario, seed: int, channel: str = "", say: Say = lambda _: None
-    ) -> None:
-        """`channel`: a CAN interface, unused on other transports."""
+    def __init__(self, scenario: Scenario, seed: int, say: Say = lambda _: None) -> None:
         super().__init__(scenario, say)
-        self._seed, self._channel, self.rig = seed, channel, Rig(self.scenario, seed)
+        self._seed, self.rig = seed, Rig(self.scenario, seed)
 
     def _open(self, stack: ExitStack, place: Path) -> str:
         context = stack.enter_context(zmq.Context())
         poses: zmq.Socket[Any] = stack.enter_context(context.socket(zmq.XPUB))
         poses.setsockopt(zmq.LINGER, 0)
         poses.bind(f"ipc://{place}/poses")
-        is_can = self.scenario.transport == "can"
-        where: Path | str = self._channel if is_can else place / "skin"
+        where: Path | str = VCAN if self.scenario.transport == "can" else place / "skin"
         self._bench = stack.enter_context(closing(Bench(self.rig, where, poses)))
         at = str(where), f"ipc://{place}/poses", place
-        text = settings.text(self.scenario, self._seed, *at)
-        self._advice = AdviceThread(config_file.parse(text)) if self.scenario.advised else None
-        return text
+        return settings.text(self.scenario, self._seed, *at)
 
     @property
     def t(self) -> float:
@@ -208,11 +194,6 @@ class SimulatedRun(LiveRun):
     def _step(self) -> None:
         super()._step()
         self._bench.step()
-        # the robot follows advice on all that was felt before it came to rest
-        if self._advice is not None and self.rig.wants_advice(self.t - REST_S):
-            self._advice.ask()
-            if (advice := self._advice.taken()) is not None:
-                self.rig.advise(advice, self.t, self.t)
 
     def _on(self, event: str) -> None:
         super()._on(event)
@@ -254,7 +235,6 @@ class HardwareRun(LiveRun):
         cure = "check the skin with 'taxeld-hil accept'"
         self.no_start = f"{target}: no scan came within {START_S:g} s; {cure}"
         self._start_s: float | None = None  # of scenario time
-        self._looked_s = 0.0
         self._is_done = False  # all contacts were made, and the last is over
 
     def _open(self, _: ExitStack, place: Path) -> str:
@@ -270,7 +250,7 @@ class HardwareRun(LiveRun):
         contacts = self.scenario.contacts
         self._say(f"touch the object {contacts} times, after a second of touching nothing")
         scene = load_model(self.scenario).scene
-        self._follow(scene, self._truth, lambda: self._ends(directory))
+        self._follow(scene, self._truth, self._ends)
 
     def _fails(self, kind: str) -> bool:
         on = [fault for fault in self.scenario.fault if fault.at_s <= self.t < fault.end_s]
@@ -283,58 +263,17 @@ class HardwareRun(LiveRun):
         self._is_done = enough and not message["contact"]
         super()._estimated(message)
 
-    def _ends(self, directory: Path) -> bool:
-        """Whether all contacts are made and the daemon has recovered, or the time is up."""
-        t, scenario = self.t, self.scenario
-        if t > CONTACT_S * scenario.contacts:
-            return True
-        if self.published is None or not self._is_done or t < self._looked_s + LOOK_S:
-            return False
-        self._looked_s = t
-        self.published.flush()
-        faults = [fault for fault in scenario.fault if fault.kind in ON_HARDWARE]
-        wait_s = scenario.expect.recovery_s + SETTLE_S
-        seen = [each for each in signs(self._about(""), read(directory, 1)) if each.injected]
-        is_back = all(
-            each.recovered_s is not None and t > each.fault.end_s + each.recovered_s + SETTLE_S
-            for each in seen
-        )
-        is_late = all(t > fault.end_s + wait_s for fault in faults)
-        return is_late or (is_back and len(seen) == len(faults))
+    def _ends(self) -> bool:
+        """Whether the time is up, or all contacts are made and the faults long over."""
+        wait_s = self.scenario.expect.recovery_s + SETTLE_S
+        ends = [fault.end_s for fault in self.scenario.fault if fault.kind in ON_HARDWARE]
+        is_late = self.t > CONTACT_S * self.scenario.contacts
+        return is_late or (self._is_done and self.t > max(ends, default=0.0) + wait_s)
 
     def _about(self, name: str) -> Run:
         taxels = [()] * len(self.scenario.fault)
         not_injected = tuple(kind for kind in KINDS if kind not in ON_HARDWARE)
         return Run(name, 0, self._target, "real", self.scenario, self.t, taxels, not_injected)
-
-
-class AdviceThread:
-    """Advises beside a run, as `taxeld advise` does: asks the daemon once at a time."""
-
-    def __init__(self, config: Config) -> None:
-        self._endpoint, self._adviser = config.control.endpoint, Adviser(config, settings.REACH)
-        self._thread: threading.Thread | None = None
-        self._found: Advice | None = None
-
-    def ask(self) -> None:
-        """Want advice on all that the daemon has handed over by now."""
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run, daemon=True)
-            self._thread.start()
-
-    def taken(self) -> Advice | None:
-        """The advice that was asked for, once."""
-        found, self._found = self._found, None
-        if found is not None:
-            self._thread = None
-        return found
-
-    def _run(self) -> None:
-        while self._found is None:
-            try:
-                self._found = self._adviser.advise(remembered(self._endpoint))
-            except SetupError:  # it has felt nothing yet, or ends
-                time.sleep(PAUSE_S)
 
 
 def emulate(
@@ -349,7 +288,7 @@ def emulate(
         SetupError: there is no such interface, the endpoint is taken, or the directory holds a
             session.
     """
-    rig, began = Rig(scenario.one_link(), seed), time.monotonic()
+    rig, began = Rig(scenario.in_real_time(), seed), time.monotonic()
     with ExitStack() as stack:
         context = stack.enter_context(zmq.Context())
         poses = stack.enter_context(context.socket(zmq.XPUB))

@@ -122,10 +122,11 @@ class Scenario:
             fault=tuple(fault for fault in self.fault if fault.link == number),
         )
 
-    def one_link(self) -> "Scenario":
-        """The same scenario. Raises SetupError where it has several links."""
-        if self.links > 1:
-            raise SetupError("layouts: several links run on the fake clock alone: --clock fake")
+    def in_real_time(self) -> "Scenario":
+        """The same scenario. Raises SetupError where it needs the fake clock."""
+        if self.links > 1 or self.advised:
+            what = "advised: a robot that is advised runs" if self.advised else "layouts: links run"
+            raise SetupError(f"{what} on the fake clock alone: --clock fake")
         return self
 
     def check_links(self) -> None:

@@ -1,6 +1,6 @@
-"""The emulated robot: its poses go on as long as anybody listens to them."""
+"""The skin's end of a transport: its device's name, and its listeners, who come and go."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 import zmq
 
+from taxeld.errors import SetupError
 from taxeld.stream.topics import SENSOR_POSE
 from taxeld_hil.rig.bench import Bench
-from taxeld_hil.rig.ports import ArrayPort
+from taxeld_hil.rig.ports import ArrayPort, NativePort
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario import scenario
 from tests.rig.clocks import PATIENCE_S, until
@@ -55,21 +56,29 @@ def settled(bench: Bench) -> None:
     until(lambda: bench.step() or bench.rig.ledger.poses_sent > sent + 1)
 
 
-@pytest.mark.parametrize("leaves", ["all topics", "its own topic", "altogether"])
+def looks_for_all(stays: zmq.Socket[Any], _: zmq.Socket[Any], bench: Bench) -> None:
+    """As a daemon does that has looked for other topics."""
+    stays.setsockopt(zmq.SUBSCRIBE, b"")
+    settled(bench)
+    stays.setsockopt(zmq.UNSUBSCRIBE, b"")
+
+
+@pytest.mark.parametrize(
+    "leave",
+    [
+        looks_for_all,
+        lambda _, other, __: other.setsockopt(zmq.UNSUBSCRIBE, b"/robot"),
+        lambda _, other, __: other.close(),
+    ],
+    ids=["all topics", "its own topic", "altogether"],
+)
 def test_poses_go_on_when_one_of_two_listeners_leaves(
-    bench: Bench, sockets: Sockets, leaves: str
+    bench: Bench, sockets: Sockets, leave: Callable[..., None]
 ) -> None:
     stays, other = sockets.subscriber(POSES, SENSOR_POSE), sockets.subscriber(POSES, b"/robot")
     hears(bench, stays)
     hears(bench, other)
-    if leaves == "altogether":
-        other.close()
-    elif leaves == "all topics":  # as a daemon does that has looked for other topics
-        stays.setsockopt(zmq.SUBSCRIBE, b"")
-        settled(bench)
-        stays.setsockopt(zmq.UNSUBSCRIBE, b"")
-    else:
-        other.setsockopt(zmq.UNSUBSCRIBE, b"/robot")
+    leave(stays, other, bench)
     settled(bench)
     hears(bench, stays)
 
@@ -107,15 +116,42 @@ def test_poses_count_as_heard_only_while_somebody_listens_to_them(
 
 def test_arrays_go_on_when_one_of_two_listeners_leaves(sockets: Sockets, tmp_path: Path) -> None:
     port, endpoint = ArrayPort(tmp_path / "skin"), f"ipc://{tmp_path}/skin"
-    listening = port._socket
+
+    def requests() -> int:
+        assert port._socket.poll(PATIENCE_MS)
+        return len(port.take(0.0))
+
     sockets.subscriber(endpoint)
-    assert listening.poll(PATIENCE_MS)
-    assert len(port.take(0.0)) == 1, "the skin is started"
+    assert requests() == 1, "the skin is started"
     other = sockets.subscriber(endpoint, b"/skin")
-    assert listening.poll(PATIENCE_MS)
-    assert port.take(0.0) == []
+    assert requests() == 0
     other.close()
-    assert listening.poll(PATIENCE_MS)
-    assert port.take(0.0) == []
+    assert requests() == 0
     assert port.is_open
     port.close()
+
+
+def test_the_link_that_a_killed_emulator_left_is_replaced_and_a_living_ones_left_alone(
+    tmp_path: Path,
+) -> None:
+    def open_files() -> int:
+        return len(list(Path("/proc/self/fd").iterdir()))
+
+    link = tmp_path / "skin"
+    link.symlink_to("/dev/pts/999999")
+    port = NativePort(link)
+    assert link.is_char_device()
+    before, opened = link.readlink(), open_files()
+    with pytest.raises(SetupError, match=r"skin: cannot be made \(another skin is there; stop it"):
+        NativePort(link)
+    assert link.readlink() == before
+    assert open_files() == opened, "no pseudo-terminal is left open"
+    port.close()
+    assert not link.is_symlink()
+
+
+@pytest.mark.parametrize(("name", "why"), [("no/skin", "No such file"), ("file", "File exists")])
+def test_a_link_that_cannot_be_made_is_one_line(tmp_path: Path, name: str, why: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(SetupError, match=rf"{name}: cannot be made \({why}"):
+        NativePort(tmp_path / name)
