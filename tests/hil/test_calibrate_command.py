@@ -116,7 +116,7 @@ def test_a_session_without_a_robot_or_without_rest_is_refused(
     says = refused("calibrate", tmp_path / "bare", *out)
     assert "sensor_pose.csv: is missing; a calibration needs" in says
     says = refused("calibrate", tmp_path / "hasty", *out)
-    assert re.search("untouched at first: [34] s; it takes 10 s; touch nothing in the first", says)
+    assert re.search("untouched at first: [34] s; it takes 10 s; touch nothing", says)
     assert not out[1].exists()
 
 

@@ -1,5 +1,6 @@
 """A session becomes a calibration: at least ten seconds untouched, then presses held still."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ from taxeld.arrays import Bools, Floats, Index, Poses
 from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import Inverse
@@ -20,6 +22,7 @@ from taxeld_hil.calibration.presses import Presses
 from taxeld_hil.rules import Rule, require
 
 LEAST_IDLE_S = 10.0
+ROUNDING_SD = 1.0 / np.sqrt(12.0)  # counts: of whole counts, whatever else the noise is
 KNOWN_GAIN_SD = 0.06  # relative: a gain with a larger sd counts as not measured
 LEAST_PRESSES = 12
 LEAST_SIDES = 4  # sides of the skin that must be pressed, of eight
@@ -63,25 +66,29 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
     observer = Observer(open_pipeline(directory, uncalibrated(config)))
     for outcome in outcomes(directory, observer.pipeline):
         observer.on_outcome(outcome)
-    presses, unheld = observer.presses.found()
-    idle_s, where = observer.idle_s, observer.object if placed is None else placed
-    cure = "touch nothing in the first minute"
+    (presses, unheld), idle_s = observer.presses.found(), observer.idle_s
+    model, skin, estimate = observer.model, observer.pipeline.skin, observer.pipeline.estimate
+    said, limit, cure = f"{idle_s:.0f} s", f"{LEAST_IDLE_S:.0f} s", "touch nothing in that time"
     is_long = idle_s >= LEAST_IDLE_S
-    untouched = Rule(
-        "rest", "untouched at first", f"{idle_s:.0f} s", f"{LEAST_IDLE_S:.0f} s", is_long, cure
-    )
-    require([untouched, *press_rules(observer.model, presses, unheld)], "calibrate")
-    if where is None:
+    untouched = Rule("rest", "untouched at first", said, limit, is_long, cure)
+    require([untouched, *press_rules(model, presses, unheld)], "calibrate")
+    if given := placed is not None:
+        where = placed
+    elif estimate.status in (Status.CONVERGED, Status.AMBIGUOUS):
+        where = estimate.map
+    else:
         raise SetupError(
             "calibrate: the object was not found by touch, so its pose must be given: "
             "--object X Y YAW, in metres and radians, in the robot's world"
         )
-    noise, stuck = observer.noise, observer.stuck
-    presses = Presses(presses.sensor, presses.counts, presses.live & ~stuck)
-    given = placed is not None
-    fit = fitted(observer.model, presses, noise, where, given=given)
-    errors = errors_of(observer.model, presses, noise, fit)
-    value, sd, layout = fit.value, fit.sd, observer.model.layout
+    state = skin.state()
+    assert state is not None  # noqa: S101  (the skin was touched)
+    noise, stuck = np.maximum(state.noise, ROUNDING_SD), np.zeros(len(state.noise), dtype=bool)
+    stuck[skin.faults()["stuck_taxels"]] = True
+    presses = replace(presses, live=presses.live & ~stuck)
+    fit = fitted(model, presses, noise, where, given=given)
+    errors = errors_of(model, presses, noise, fit)
+    value, sd, layout = fit.value, fit.sd, model.layout
     calibration = Calibration(
         t=observer.t,
         digest=skin_digest(layout),
@@ -103,18 +110,16 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
         noise_counts=noise,
         frozen=stuck,
     )
-    rest = [
-        untouched,
-        Rule("rest", "noise", f"{np.median(noise):.1f} counts (median), {noise.max():.1f} at most"),
-        Rule("rest", "stuck", ", ".join(map(str, np.flatnonzero(stuck))) or "none"),
-    ]
+    at_rest = f"{np.median(noise):.1f} counts (median), {noise.max():.1f} at most"
     rules = [
-        *rest,
-        *press_rules(observer.model, presses, unheld),
+        untouched,
+        Rule("rest", "noise", at_rest),
+        Rule("rest", "stuck", ", ".join(map(str, np.flatnonzero(stuck))) or "none"),
+        *press_rules(model, presses, unheld),
         *fit_rules(fit, presses, given=given),
         *_values(calibration, fit, given=given),
     ]
-    return Result(calibration, observer.model, presses, fit, rules)
+    return Result(calibration, model, presses, fit, rules)
 
 
 def fitted(
@@ -192,24 +197,21 @@ def _pose(q: Poses) -> str:
 
 def _values(c: Calibration, fit: FitResult, *, given: bool) -> list[Rule]:
     """What was measured, without a limit."""
-    known = c.gain_sd <= KNOWN_GAIN_SD
+    known, by = c.gain_sd <= KNOWN_GAIN_SD, "given" if given else "found by touch"
     spread = np.std(np.log(c.gain[known])) if known.sum() > 2 else np.nan
     depth_mm, sure = 1e3 * c.full_scale_depth_m, np.median(c.gain_sd[known]) if known.any() else 1.0
+    full = f"{c.full_scale_counts:.0f} counts ± {c.full_scale_sd:.1%} at {depth_mm:g} mm"
+    gains = f"{known.sum()} of {len(known)} taxels to {sure:.1%} (median), spread {spread:.0%}"
+    bend = f"bend {c.bend:.3f} ± {c.bend_sd:.3f}, onset {np.median(c.onset):.2f} (median)"
+    noise = f"{c.noise_sigma:.3f} of full scale, and {c.gain_cv:.0%} of a reading"
     x, y, yaw = fit.value.object
     return [
-        Rule("fit", *row)
-        for row in (
-            ("object", f"x {x:.4f} m, y {y:.4f} m, yaw {yaw:.4f} rad, "
-                       f"{'given' if given else 'found by touch'}"),
-            ("full scale", f"{c.full_scale_counts:.0f} counts ± {c.full_scale_sd:.1%} at "
-                           f"{depth_mm:g} mm"),
-            ("gains", f"{known.sum()} of {len(known)} taxels to {sure:.1%} (median), spread "
-                      f"{spread:.0%}; the others keep the spread of the skin"),
-            ("response", f"bend {c.bend:.3f} ± {c.bend_sd:.3f}, onset {np.median(c.onset):.2f} "
-                         "(median)"),
-            ("noise", f"{c.noise_sigma:.3f} of full scale, and {c.gain_cv:.0%} of a reading"),
-        )
-    ]  # fmt: skip
+        Rule("fit", "object", f"x {x:.4f} m, y {y:.4f} m, yaw {yaw:.4f} rad, {by}"),
+        Rule("fit", "full scale", full),
+        Rule("fit", "gains", f"{gains}; the others keep the spread of the skin"),
+        Rule("fit", "response", bend),
+        Rule("fit", "activation noise", noise),
+    ]
 
 
 def errors_of(model: ObservationModel, presses: Presses, noise: Floats, fit: FitResult) -> Noise:

@@ -8,11 +8,12 @@ less certain.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import least_squares
 from scipy.sparse import csr_array, eye_array, vstack
 
 from taxeld.arrays import Bools, Floats, Poses
@@ -36,6 +37,7 @@ MISSED_COST = 4.0  # cost of a missed reading: no fit gains by missing it
 LEAST_COSINE = 0.6  # between a taxel's normal and the shortest way out of the object
 STEP_M, STEP = 1e-4, 1e-3  # for differences: along x and y, and of all other unknowns
 POSE_STEP = np.array([STEP_M, STEP_M, STEP])
+FAR = 10.0  # prior sd: unknowns are counted from so far below their means
 ROUNDS, STEPS = 8, 25  # most rounds of a fit, and most steps of a round
 SETTLED = 0.1  # prior sd: a round that changes no unknown by more is the last
 SEARCHED = np.array([0.006, 0.006, np.radians(8.0)])  # largest mounts that are tried: m, m, rad
@@ -83,13 +85,10 @@ class FitResult:
     value: Unknowns
     sd: Unknowns  # `log_gain`: of gain and full scale together
     depth: Floats  # (K, M) shares of full depth
+    expected: Floats  # (K, M) counts
     weight: Floats  # (K, M) of each reading: 0 if it was not used, less than 1 far from the fit
     cost: float  # the likeliest of several fits has the least
     left: float  # the cost of a reading, in the mean
-
-    def expected(self) -> Floats:
-        """(K, M) counts."""
-        return _expected(self.value, self.depth)
 
 
 class CalibrationFit:
@@ -117,14 +116,10 @@ class CalibrationFit:
             np.concatenate([np.broadcast_to(one, n) for one, n in zip(each, number, strict=True)])
             for each in [*zip(*kinds, strict=True)][1:]
         )
-        self._begin = np.zeros_like(self._mean)  # unknowns are sought in prior sd about the mean
-        self._begin[2:5] = start.mount / MOUNT_SD
-        self._gains = slice(*self._cuts[5:7])
-        press, taxel = np.indices((k, m))
-        common = [np.full((k, m), at) for at in range(8)]
-        own = [press, k + press, 2 * k + taxel, 2 * k + m + taxel]
-        # (12, K, M) the unknowns on which each reading depends
-        self._columns = np.stack([*common, *(8 + at for at in own)])
+        # unknowns are sought in prior sd, counted from far below: scipy's steps are shares of them
+        self._begin = np.full(len(self._mean), FAR)
+        self._begin[2:5] += start.mount / MOUNT_SD
+        self._step /= FAR * np.where(self._sd > 0.0, self._sd, 1.0)
 
     def run(self) -> FitResult:
         """The likeliest values near the start. In each round the conditions are held, so that what
@@ -132,18 +127,42 @@ class CalibrationFit:
         u = self._begin
         for _ in range(ROUNDS):
             held = self._conditions(u)
-            found = self._round(u, held)
+            found = least_squares(
+                partial(self._terms, held=held),
+                u,
+                jac_sparsity=self._sparsity(held),
+                diff_step=self._step,
+                loss="soft_l1",
+                ftol=1e-4,
+                max_nfev=STEPS,
+            )
             moved, u = np.abs(found.x - u).max(), found.x
             if moved < SETTLED:
                 break
         # scipy's Jacobian has the loss in it, so this is its Gauss-Newton Hessian
-        return self._fit(u, np.linalg.inv((found.jac.T @ found.jac).toarray()))
+        covariance = np.linalg.inv((found.jac.T @ found.jac).toarray())
+        covariance *= np.outer(self._sd, self._sd)
+        gains = slice(*self._cuts[5:7])
+        variance = np.diag(covariance).copy()
+        variance[gains] += variance[0] + 2.0 * covariance[0, gains]
+        x, held = self._values(u), self._conditions(u)
+        terms, missed = self._terms(u, held), np.count_nonzero(held.missed)
+        cost = (np.hypot(1.0, terms) - 1.0).sum() + MISSED_COST * missed
+        weight = np.zeros_like(held.sd)
+        weight[held.used] = 1.0 / np.hypot(1.0, terms[: -len(u)])
+        depth = depths(self._model, self._seen(x))
+        return FitResult(
+            value=x,
+            sd=Unknowns(*np.split(np.sqrt(np.maximum(variance, 0.0)), self._cuts)),
+            depth=depth,
+            expected=_expected(x, depth),
+            weight=weight,
+            cost=float(cost),
+            left=float(cost / max(len(terms) - len(u) + missed, 1)),
+        )
 
     def _values(self, u: Floats) -> Unknowns:
-        return self._split(self._mean + self._sd * u)
-
-    def _split(self, x: Floats) -> Unknowns:
-        return Unknowns(*np.split(x, self._cuts))
+        return Unknowns(*np.split(self._mean + self._sd * (u - FAR), self._cuts))
 
     def _seen(self, x: Unknowns) -> Poses:
         """(K, 3) the object in the sensor's frame."""
@@ -160,57 +179,25 @@ class CalibrationFit:
         missed = (depth <= SHALLOW) & (self._presses.counts > (FIRM + doubt) * full) & live
         return HeldTerms(_cosine(self._model, q), np.sqrt(variance), used, missed)
 
-    def _round(self, u: Floats, held: HeldTerms) -> OptimizeResult:
-        """The least squares of the readings' residuals and of the unknowns `u` themselves."""
-        return least_squares(
-            lambda u: np.concatenate([self._residuals(self._values(u), held), u]),
-            u,
-            lambda u: vstack([self._slopes(u, held), eye_array(len(u))]),
-            loss="soft_l1",
-            ftol=1e-4,
-            max_nfev=STEPS,
-        )
-
-    def _residuals(self, x: Unknowns, held: HeldTerms) -> Floats:
-        """Residuals of the used readings, in row order and in sd."""
+    def _terms(self, u: Floats, held: HeldTerms) -> Floats:
+        """What is squared and added: residuals of the used readings in sd, in row order, and the
+        unknowns themselves."""
+        x = self._values(u)
         depth = self._model.activation(self._seen(x)) / held.cosine
         off = (self._presses.counts - _expected(x, depth)) / held.sd
-        return np.asarray(off[held.used])
+        return np.append(off[held.used], u - FAR)
 
-    def _slopes(self, u: Floats, held: HeldTerms) -> csr_array:
-        """Derivatives of the residuals by the unknowns `u`. A reading depends on one press and one
-        taxel, so the unknowns of all presses, or of all taxels, are varied at once."""
-        x = self._mean + self._sd * u
-        before = self._residuals(self._split(x), held)
-        changes: list[Floats] = []
-        for columns in self._columns:
-            moved, varied = x.copy(), np.unique(columns)
-            moved[varied] += self._step[varied]
-            changes.append(self._residuals(self._split(moved), held) - before)
-        column = self._columns[:, held.used]
-        row = np.broadcast_to(np.arange(len(before)), column.shape)
-        values = (np.stack(changes) * (self._sd / self._step)[column]).ravel()
-        return csr_array((values, (row.ravel(), column.ravel())), shape=(len(before), len(x)))
-
-    def _fit(self, u: Floats, covariance: Floats) -> FitResult:
-        """The result at `u` with this covariance (P, P)."""
-        x, held = self._values(u), self._conditions(u)
-        residual = self._residuals(x, held)
-        weight = np.zeros_like(held.sd)
-        weight[held.used] = 1.0 / np.sqrt(1.0 + residual**2)
-        missed = np.count_nonzero(held.missed)
-        cost = (np.hypot(1.0, np.append(residual, u)) - 1.0).sum() + MISSED_COST * missed
-        covariance = covariance * np.outer(self._sd, self._sd)
-        variance = np.diag(covariance).copy()
-        variance[self._gains] += variance[0] + 2.0 * covariance[0, self._gains]
-        return FitResult(
-            value=x,
-            sd=self._split(np.sqrt(np.maximum(variance, 0.0))),
-            depth=depths(self._model, self._seen(x)),
-            weight=weight,
-            cost=float(cost),
-            left=float(cost / max(len(residual) + missed, 1)),
-        )
+    def _sparsity(self, held: HeldTerms) -> csr_array:
+        """Which terms depend on which unknowns: a reading on one press, one taxel, and all that is
+        common."""
+        press, taxel = np.nonzero(held.used)
+        x, y, gain, onset = self._cuts[3:]
+        common = [np.full(len(press), column) for column in range(x)]
+        column = np.stack([*common, x + press, y + press, gain + taxel, onset + taxel], axis=1)
+        ends = np.arange(0, column.size + 1, column.shape[1])
+        ones, shape = np.ones(column.size), (len(press), len(self._mean))
+        readings = csr_array((ones, column.ravel(), ends), shape=shape)
+        return vstack([readings, eye_array(len(self._mean))])
 
 
 def depths(model: ObservationModel, q: Poses) -> Floats:

@@ -2,17 +2,12 @@
 
 from dataclasses import replace
 
-import numpy as np
-
-from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import Status
 from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld_hil.calibration.presses import PressFinder
 
 PRESS_THRESHOLDS = 3.0  # times a taxel's own threshold: a lighter touch is no press
-ROUNDING_SD = 1.0 / np.sqrt(12.0)  # counts: of whole counts, whatever else the noise is
 
 
 def uncalibrated(config: Config) -> Config:
@@ -53,24 +48,3 @@ class Observer:
         if outcome.sensor is not None:
             felt = live & (skin.over > PRESS_THRESHOLDS * skin.threshold)
             self.presses.take(outcome.sensor, skin.over, live, felt)
-
-    @property
-    def noise(self) -> Floats:
-        """(M,) sd of a reading at rest [counts], as the daemon has it by now."""
-        state = self.pipeline.skin.state()
-        noise = np.zeros(len(self.model.layout)) if state is None else state.noise
-        return np.asarray(np.maximum(noise, ROUNDING_SD))
-
-    @property
-    def stuck(self) -> Bools:
-        """(M,) taxels that the daemon calls stuck."""
-        found: Bools = np.zeros(len(self.model.layout), dtype=bool)
-        found[self.pipeline.skin.faults()["stuck_taxels"]] = True
-        return found
-
-    @property
-    def object(self) -> Poses | None:
-        """(3,) the object's pose in the world, if the filter is sure of it."""
-        estimate = self.pipeline.estimate
-        sure = estimate.status in (Status.CONVERGED, Status.AMBIGUOUS)
-        return estimate.map if sure else None

@@ -39,7 +39,7 @@ def draw(result: Result, out: Path) -> None:
     curves.plot(GRID, response(GRID, c.bend, np.zeros(1)), color="black", lw=1.2, label="common")
     curves.legend(fontsize=7)
     used = fit.weight > 0.0
-    expected, read, weight = fit.expected()[used], presses.counts[used], fit.weight[used]
+    expected, read, weight = fit.expected[used], presses.counts[used], fit.weight[used]
     readings.scatter(expected, read, c=weight, s=8, cmap="coolwarm_r", vmin=0.0, vmax=1.0)
     readings.axline((0.0, 0.0), slope=1.0, color="0.6", lw=0.8)
     for outline in result.model.scene.outlines:
