@@ -145,14 +145,14 @@ FAULTS: list[tuple[str, str, dict[str, Any]]] = [
     ("press answers", "modules 2 and 4 are swapped", {"prepare": wired_as(m2=4, m4=2)}),
     ("press answers", "module 3 (hub 1, position 2) felt nothing", {"prepare": wired_as(m3=99)}),
     ("press answers", "2 of 4 modules answered", {"prepare": left}),
-    ("link damage", "wrong checksum", {"prepare": damaged}),
+    ("link damage", "crc_errors", {"prepare": damaged}),
     ("rate hub 1", "80.0 ms", {"prepare": slow}),
     ("modules of the layout", "2 did not", {"found": [FIRST, *REST[1:]]}),
     ("modules with other taxels", "leaves out T10",
      {"found": [replace(FIRST, mask=0x3FF, channels=10), *REST]}),
     ("modules with other taxels", "is grouped (grouping 1)",
      {"found": [replace(FIRST, grouping=1), *REST]}),
-    ("discovery hubs", "from a hub's bootloader", {"prepare": in_bootloader}),
+    ("discovery hubs", "bootloader", {"prepare": in_bootloader}),
     ("discovery hubs", "120 Ω", {"prepare": dumb}),
 ]  # fmt: skip
 

@@ -43,7 +43,7 @@ WRONG = [  # a command line, and words of its line
         "a line speed, as /dev/nothing@921600",
     ),
     (f"accept slcan:/dev/nothing@fast {ACCEPT}", "a line speed, as /dev/nothing@115200"),
-    (f"accept no_such:x {ACCEPT}", "driver installed"),
+    (f"accept no_such:x {ACCEPT}", "python-can knows no 'no_such'; it knows"),
     (f"accept can0 {ACCEPT}", "use can:can0"),
     (f"accept slcan:/dev/nothing {ACCEPT} --seconds 1", "--seconds: must be 5..600"),
     (f"accept slcan:/dev/nothing {ACCEPT} --seconds nan", "--seconds: must be 5..600"),

@@ -18,7 +18,6 @@ from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.service.doorkeeper import array_heard
 from taxeld.source import modules
-from taxeld.source.device import BusyError
 from taxeld.source.opening import open_source
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source
@@ -29,7 +28,6 @@ from taxeld_hil.rules import Rule, as_json, failed, lines
 
 SECONDS_MIN = 5.0  # 100 scans at the usual rate
 SECONDS_MAX = 600.0  # all scans are held
-OTHER_CURE = "; is the adapter plugged in, its driver installed?"
 VERSION = 2  # of report.json
 
 
@@ -143,9 +141,9 @@ def source_of(target: str, period_ms: int) -> SourceConfig:
     if kind == "array":
         if fault := endpoints.fault(channel):
             raise SetupError(f"TARGET: {fault}")
-        return SourceConfig(kind="array", endpoint=channel, period_ms=period_ms)
+        return SourceConfig(kind=kind, endpoint=channel, period_ms=period_ms)
     if kind == "serial":
-        return SourceConfig(kind="serial", channel=channel, period_ms=period_ms)
+        return SourceConfig(kind=kind, channel=channel, period_ms=period_ms)
     interface = "socketcan" if kind == "can" else kind
     return SourceConfig(kind="can", interface=interface, channel=channel, period_ms=period_ms)
 
@@ -158,8 +156,5 @@ def opened(target: str, config: SourceConfig, layout: Layout, recorder: Recorder
     """
     try:
         return open_source(config, layout, recorder)
-    except SetupError as error:
-        said = str(error).partition(": ")[2]  # a target has no configuration key to name
-        has_cure = target.partition(":")[0] in ("can", "slcan", "serial", "array")
-        cure = "" if has_cure or isinstance(error, BusyError) else OTHER_CURE
-        raise SetupError(f"TARGET {target}: {said}{cure}") from None
+    except SetupError as error:  # a target has no configuration key to name
+        raise SetupError(f"TARGET {target}: {str(error).partition(': ')[2]}") from None

@@ -1,7 +1,7 @@
 """The acceptance rules, as functions of what was received."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -42,29 +42,18 @@ BUSY = (
     "close other programs on this machine; on a USB serial adapter set its latency timer to 1 ms "
     "(/sys/bus/usb-serial/devices/*/latency_timer)"
 )
-# Counters of a source, in words.
-DAMAGES = {
-    "crc_errors": "packets with a wrong checksum",
-    "length_errors": "packets of a wrong length",
-    "index_errors": "packets past the module table",
-    "malformed": "packets that their command does not allow",
-    "noise": "reads that the driver could not decode",
-}
-AWAY = {"lost": "times the adapter went away", "silences": "times the adapter fell silent"}
-OTHERS = {
-    "unknown": "frames or packets of other devices",
-    "unsent": "requests that could not be sent",
-    "refused": "lines that the adapter refused, named above",
-}
+# Counters have their names in the daemon's health.
+DAMAGES = ("crc_errors", "length_errors", "index_errors", "malformed", "noise")
+AWAY = ("lost", "silences")
 # No hub declares its modules: the first counter that is not 0 has the cure.
 SILENCE = {
-    "lost": (AWAY["lost"], ADAPTER),
-    "bootloader": ("answers from a hub's bootloader", FIRMWARE),
-    "packets": ("CySkin packets, none of them an answer to DECLARE", HOST),
-    "frames": ("CAN frames", KIND),
-    "refused": (OTHERS["refused"], ADAPTER),
-    "bytes": ("bytes", KIND),
-    "unsent": (OTHERS["unsent"], POWER),
+    "lost": ADAPTER,
+    "bootloader": FIRMWARE,
+    "packets": HOST,
+    "frames": KIND,
+    "refused": ADAPTER,
+    "bytes": KIND,
+    "unsent": POWER,
 }
 
 
@@ -78,9 +67,9 @@ def discovery(got: Received) -> Iterator[Rule]:
     """The hub answers the daemon's own bring-up, declares all its modules, and sends scans."""
     fault, cure = ("", "") if got.scans else _bus(got.bring_up)
     if not got.tables:
-        heard = [(f"{text}: {n}", c) for k, (text, c) in SILENCE.items() if (n := got.bring_up[k])]
-        said = fault or ", ".join(text for text, _ in heard) or "nothing at all was heard"
-        cure = cure or (heard[0][1] if heard else POWER)
+        said = fault or _counted(got.bring_up, SILENCE) or "nothing at all was heard"
+        cures = [cure for name, cure in SILENCE.items() if got.bring_up[name]]
+        cure = cure or [*cures, POWER][0]
         yield Rule("discovery", "hubs", f"none declared its modules; {said}", "any", False, cure)
         return
     parts, unknown, silent = [], [], [fault] * bool(fault)
@@ -147,8 +136,8 @@ def rate(got: Received) -> Iterator[Rule]:
     if not got.scans:
         yield Rule("rate", "scans", "none came", "", None)
     count, asked_ms = got.link, got.period_ms
-    explained: float = _sum(count, DAMAGES) + count["orphan"]
-    if _sum(count, AWAY):  # faults of the link explain any number
+    explained: float = sum(count[name] for name in (*DAMAGES, "orphan"))
+    if _counted(count, AWAY):  # faults of the link explain any number
         explained = np.inf
     for hub in sorted({scan.ihb for scan in got.scans}):
         t = np.array([scan.t for scan in got.scans if scan.ihb == hub and scan.complete])
@@ -192,16 +181,15 @@ def link(got: Received) -> Iterator[Rule]:
     fault, cure = _bus(count)
     gone = [words for words in (fault, _counted(count, AWAY)) if words]
     yield _none("link", "faults", gone, cure or ADAPTER)
-    damaged = _sum(count, DAMAGES)
+    damaged = sum(count[name] for name in DAMAGES)
     packets = count["packets"] + damaged
     bad = damaged > DAMAGED * packets or count["orphan"] > DAMAGED * count["frames"]
-    words = DAMAGES | {"orphan": "frames without the beginning of their packet"}
-    said = ", ".join(filter(None, (f"{packets} packets", _counted(count, words))))
+    said = ", ".join(filter(None, (f"{packets} packets", _counted(count, (*DAMAGES, "orphan")))))
     cure = f"check the bus's ends (120 Ω at both), its shield and its stubs; else {BUSY}"
     if damaged == count["index_errors"] > 0:
         cure = "two hubs may share a short id: connect one at a time, and switch it off and on"
     yield Rule("link", "damage", said, f"{DAMAGED:.1%} of the packets", not bad, cure)
-    if others := _counted(count, OTHERS):
+    if others := _counted(count, ("unknown", "unsent", "refused")):
         yield Rule("link", "beside these", others)
 
 
@@ -318,13 +306,9 @@ def _none(check: str, what: str, found: Sequence[str], cure: str, limit: str = "
     return Rule(check, what, _listed(found, "; ") or "none", limit, not found, cure)
 
 
-def _sum(count: Counter[str], names: dict[str, str]) -> int:
-    return sum(count[name] for name in names)
-
-
-def _counted(count: Counter[str], words: dict[str, str]) -> str:
-    """The counters that are not 0, in words."""
-    return ", ".join(f"{text}: {count[name]}" for name, text in words.items() if count[name])
+def _counted(count: Counter[str], names: Iterable[str]) -> str:
+    """The counters that are not 0."""
+    return ", ".join(f"{name} {count[name]}" for name in names if count[name])
 
 
 def _listed(names: Sequence[object], comma: str = ", ") -> str:
