@@ -67,7 +67,6 @@ def test_poses_tell_the_mistake(told: Told, rate_hz: float, late_s: float, fault
         ({"connected": False}, f"nobody serves {ENDPOINT}: start the publisher; it binds"),
         ({"refused": True}, f"{ENDPOINT} refuses the daemon: both must use keys, or neither"),
         ({}, f"connected to {ENDPOINT}, and no pose comes: publish /robot/sensor_pose"),
-        ({"topics": ["/pose"]}, f"connected to {ENDPOINT}, and only /pose comes: publish /robot"),
     ],
 )
 def test_without_poses_the_connection_tells_the_mistake(line: dict[str, Any], fault: str) -> None:
@@ -132,13 +131,13 @@ def test_status_has_how_the_poses_come_and_what_is_wrong() -> None:
 
     assert rows()["Samples       "] == "all"
     assert rows()["Sensor poses  "] == "500 used"  # as before the first health
-    answer["sensor_pose"] = {"endpoint": ENDPOINT, "topics": [], "fault": watch.fault}
+    answer["sensor_pose"] = {"endpoint": ENDPOINT, "fault": watch.fault}
     assert rows()["Sensor poses  "] == f"500 used, from {ENDPOINT}"
     timing = "100 a second, the last 0.01 s ago, their time 4.2 s "
     assert rows()["Pose timing   "] == timing + "behind this clock"
     health["inputs"]["poses_offset_s"] *= -1.0
     assert rows()["Pose timing   "] == timing + "ahead of this clock"
     assert rows()["Pose fault    "] == watch.fault
-    answer["sensor_pose"] = {"endpoint": "", "topics": [], "fault": ""}
+    answer["sensor_pose"] = {"endpoint": "", "fault": ""}
     assert rows()["Sensor poses  "] == "sensor_pose.endpoint is empty: the sensor stands still"
     assert "Pose fault    " not in rows()

@@ -190,23 +190,3 @@ def test_the_loop_hears_why_a_message_is_no_pose_in_one_printable_line(
     assert robot.line.reason.startswith(reason)
     assert robot.line.reason.isprintable()
     assert len(robot.line.reason) <= REASON_MAX
-    assert robot.line.topics == []
-
-
-@pytest.mark.check
-def test_what_else_the_robot_publishes_is_named_while_no_pose_comes(tmp_path: Path) -> None:
-    endpoint = f"ipc://{tmp_path}/poses"
-    with Stand(tmp_path, robot=endpoint) as stand:
-        robot = stand.robot()
-        robot.bind(endpoint)
-        hostile = [b"/robot/sensorpose\n<0>\x1b]0;x", b"x", b"1.0"]
-
-        def hears_other_topics() -> list[str]:
-            robot.send_multipart(hostile)
-            return stand.link.report.robot.topics
-
-        stand.until(hears_other_topics)
-        (topic,) = stand.link.report.robot.topics
-        assert topic == "/robot/sensorpose", "the rest is no text"
-        robot.send_multipart(pose(1.0))
-        stand.until(lambda: not stand.link.report.robot.topics)

@@ -1,13 +1,11 @@
 """Who publishes to the daemon: the robot its sensors' poses, an array its scans; by SUB.
 
-A pose is a map {t, x, y, theta} under `/robot/sensor_pose`. While none comes, whatever else the
-robot publishes is listened to for a moment, so that a wrong topic can be named.
+A pose is a map {t, x, y, theta} under `/robot/sensor_pose`.
 """
 
 import contextlib
 import itertools
 import math
-import re
 import struct
 import time
 from collections.abc import Callable, Sequence
@@ -43,14 +41,10 @@ EVENT = struct.Struct("=HI")  # an event and its value: pyzmq's own reader bring
 NUMBERS = itertools.count()  # each monitor has a name of its own
 
 POSE_FRAMES = 3
-TOPICS_MAX, TOPIC_MAX = 4, 60  # other topics of the robot, and characters of each
 POSE_KEYS = ("t", "x", "y", "theta")
 THETA_MAX = 3.0 * math.pi  # beyond it an angle is in degrees; smaller ones cannot be told
 DEGREES = "theta is beyond 1.5 turns: send radians from -pi to pi, not degrees"
 DEGREES_S = 30.0  # for so long after such an angle, the smaller ones of this robot are refused too
-NAME = re.compile(rb"[!-~]{0,%d}" % TOPIC_MAX)  # a topic up to where it is no text
-SILENT_S = 1.0  # without a pose for so long, other topics are listened to
-LISTEN_S, PERIOD_S = 3.0, 33.0  # for so long in each such period
 
 Pose = tuple[float, float, float, float]
 
@@ -172,8 +166,6 @@ class Robot(Heard):
         self._links = {topic.encode(): k for k, topic in enumerate(topics)} or {SENSOR_POSE: 0}
         self._came: list[list[Pose]] = [[] for _ in self._links]
         self.topics = list(self._links)
-        self._silent_s = time.monotonic()  # since when no pose has come by this connection
-        self._listens = False  # to other topics
         self._doubted_s = -math.inf  # until then small angles are taken to be in degrees
         super().__init__(context, endpoint, keys if keys and keys.robot else None)
 
@@ -188,27 +180,12 @@ class Robot(Heard):
         was_connected = self.line.connected
         super().look(now_s)
         if self.line.connected and not was_connected:  # another publisher, or this one mended
-            self._silent_s, self._doubted_s = now_s, -math.inf
-        silent_s = (now_s - self._silent_s) % PERIOD_S
-        listens = self.line.connected and SILENT_S < silent_s < SILENT_S + LISTEN_S
-        if listens is not self._listens:
-            self._listens = listens
-            self.socket.setsockopt(zmq.SUBSCRIBE if listens else zmq.UNSUBSCRIBE, b"")
-            if listens:
-                self.line.topics.clear()
-
-    def _open(self) -> None:
-        self._listens = False
-        super()._open()
+            self._doubted_s = -math.inf
 
     def _take(self, now_s: float, parts: list[bytes]) -> None:
         link = self._links.get(parts[0])
         is_glued = len(parts) == 1 and parts[0].startswith(tuple(self._links))
         if link is None and not is_glued:  # its prefix is all that ZeroMQ looks at
-            name = NAME.findall(parts[0])[0].decode() or "a topic that is no text"
-            known = self.line.topics
-            if self._listens and name not in known and len(known) < TOPICS_MAX:
-                known.append(name)
             return
         pose = as_pose(parts)
         if pose == DEGREES:
@@ -218,8 +195,7 @@ class Robot(Heard):
         if isinstance(pose, str):
             self._bad(pose)
         else:
-            self._silent_s, self.is_awaited = now_s, False
-            self.line.topics.clear()
+            self.is_awaited = False
             self._came[link or 0].append(pose)
 
 

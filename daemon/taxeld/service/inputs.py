@@ -71,8 +71,7 @@ class PoseWatch:
                 return f"{at} refuses the daemon: both must use keys, or neither (curve.directory)"
             if not line.connected:
                 return f"nobody serves {at}: start the publisher; it binds, the daemon connects"
-            heard = f"only {', '.join(line.topics)} comes" if line.topics else "no pose comes"
-            return f"connected to {at}, and {heard}: publish /robot/sensor_pose"
+            return f"connected to {at}, and no pose comes: publish /robot/sensor_pose"
         is_known = len(self._looks) == LOOKS
         if is_known and abs(self.offset_s) > OFFSET_S:
             return (

@@ -130,7 +130,6 @@ class Publisher:
         """The part of the answer to `status` that no message has."""
         sensor_pose = {
             "endpoint": self._config.sensor_pose.endpoint,
-            "topics": self._link.report.robot.topics,
             "fault": self._inputs.watch.fault,
         }
         waits_for, why = self._inputs.waits_for, self._reason()

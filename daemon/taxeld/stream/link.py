@@ -38,7 +38,6 @@ class PeerLine:
     refused: bool = False  # the handshake fails
     malformed: int = 0  # messages of the topic that are no pose, or no array
     reason: str = ""  # why the last of them is none
-    topics: list[str] = field(default_factory=list)  # others that are heard while no pose comes
 
 
 @dataclass(slots=True)
