@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stand import Case, Measured, measure
+from stand import Load, Measured, measure
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 
@@ -41,13 +41,13 @@ def rows(seconds: float = 20.0) -> list[Row]:
     """The share of a core, the path's time, the start and the memory."""
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
-        touched = measure(Case(touched=True), seconds, place)
-        idle = measure(Case(touched=False), seconds, place)
-        alone = measure(Case(touched=True, alone=True), seconds, place)
-        idle_alone = measure(Case(touched=False, alone=True), seconds, place)
-        recording = measure(Case(touched=False, record=True), seconds, place)
+        touched = measure(Load(touched=True), seconds, place)
+        idle = measure(Load(touched=False), seconds, place)
+        alone = measure(Load(touched=True, alone=True), seconds, place)
+        idle_alone = measure(Load(touched=False, alone=True), seconds, place)
+        recording = measure(Load(touched=False, record=True), seconds, place)
         large = str(large_bundle(place / "large"))
-        wide = measure(Case(touched=True, layout=LARGE, bundle=large), seconds, place)
+        wide = measure(Load(touched=True, layout=LARGE, bundle=large), seconds, place)
     return [
         ("a core's share, 80 taxels, touched all the time: %", touched.cpu_percent, 6.0),
         ("  … scans with contact that were learned from, a second", touched.updates_hz, None),
@@ -71,7 +71,7 @@ def rows(seconds: float = 20.0) -> list[Row]:
 def long(minutes: float) -> list[Row]:
     """Touched all the time; beside it what the machine does to any such loop."""
     with tempfile.TemporaryDirectory() as place:
-        ran = measure(Case(touched=True), 60.0 * minutes, Path(place))
+        ran = measure(Load(touched=True), 60.0 * minutes, Path(place))
     found: list[Row] = [
         (f"{minutes:g} minutes: overruns of its own", ran.own_overruns, 0.0),
         ("  … periods missed, for whatever reason", ran.overruns, None),
@@ -96,7 +96,7 @@ def streams(seconds: float = 10.0) -> list[Row]:
     found: list[Row] = []
     with tempfile.TemporaryDirectory() as place:
         for count in COUNTS:
-            ran = measure(Case(touched=False, subscribers=count), seconds, Path(place))
+            ran = measure(Load(touched=False, subscribers=count), seconds, Path(place))
             to = f"to {count} subscriber{'s' * (count > 1)}"
             found += [
                 (f"a scan's last frame {to}, median: ms", float(np.median(ran.reached_ms)), None),

@@ -63,7 +63,7 @@ print(json.dumps(heard))
 
 
 @dataclass(frozen=True)
-class Case:
+class Load:
     touched: bool
     layout: str = SKIN
     bundle: str = "box"
@@ -87,7 +87,7 @@ class Measured:
     overruns: int
 
 
-def measure(case: Case, seconds: float, place: Path) -> Measured:
+def measure(case: Load, seconds: float, place: Path) -> Measured:
     """Run the daemon on the case; what it took between settling and the end."""
     loaded = bundle.load(case.bundle, layouts.load(case.layout), 0.005)
     with (
@@ -213,7 +213,7 @@ class RollingBox:
 
 
 @contextmanager
-def _daemon(case: Case, place: Path) -> Iterator[tuple[int, socket.socket]]:
+def _daemon(case: Load, place: Path) -> Iterator[tuple[int, socket.socket]]:
     """`taxeld run`: its process and the socket on which it says that it is ready."""
     settings = place / "config.toml"
     known = f'[scene]\nbundle = "{case.bundle}"\n[filter]\nparticles_max = 100\n'

@@ -20,7 +20,7 @@ from taxeld_hil.grade.grade import Grade
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import robot
+from taxeld_hil.world.plan import Circle
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
@@ -77,7 +77,7 @@ class PressedSkin:
     @classmethod
     def drawn(cls, model: ObservationModel, seed: int, presses: int = 20) -> "PressedSkin":
         rng, taxels = np.random.default_rng(seed), len(model.layout)
-        circle, held = robot.Circle(model, PLACED), []
+        circle, held = Circle(model, PLACED, model.scene.size), []
         for k in range(presses):  # round the object, with every side of the skin in turn
             angle = 2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / presses
             side = 2.0 * np.pi * GOLDEN * k
@@ -85,7 +85,7 @@ class PressedSkin:
             def firm() -> tuple[float, float]:
                 return rng.uniform(0.0034, 0.0048), 0.35 * rng.uniform(-1.0, 1.0) * model.scene.size
 
-            held.append(circle.press(angle, angle + np.pi - side, firm)[2])
+            held.append(circle.towards(angle, angle + np.pi - side, firm)[3])
         return cls(
             model,
             np.array(held),

@@ -10,12 +10,13 @@ from taxeld.advice.advice import Advice, Approach
 from taxeld.arrays import Floats
 from taxeld.model import contacts, se2
 from taxeld_hil import cli
-from taxeld_hil.rig.rig import IDLE_S, Rig
+from taxeld_hil.rig.rig import Rig
 from taxeld_hil.world import robot
-from taxeld_hil.world.advised import AdvisedRobot
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.world import IDLE_S, World
 from tests.rig.commands import refused
 
-from .rig import DEMO, MODEL, SKIN, TRUTH, passing
+from .rig import DEMO, MODEL, MODULES, SKIN, TRUTH, passing
 
 ADVISED = replace(DEMO, advised=True, contacts=4)
 DEPTH_M = 0.003
@@ -30,6 +31,14 @@ def approach(beside_m: float, direction: float = 0.4) -> Approach:
     return Approach(0, before, at, until, direction, DEPTH_M, p_sure=0.5, gain=0.0, p_touch=1.0)
 
 
+def beside() -> World:
+    """A robot that hears advice, beside the object."""
+    made = World([MODEL], [MODULES], Conditions(robot_m=0.0), 1)
+    made.place(TRUTH)
+    made.plan("advised", 0)
+    return made
+
+
 def gap_m(sensors: Floats) -> Floats:
     """Between the link and the object [m]."""
     seen = se2.compose(se2.inverse(sensors), TRUTH)
@@ -38,15 +47,15 @@ def gap_m(sensors: Floats) -> Floats:
 
 @pytest.mark.parametrize("direction", np.linspace(-3.0, 3.0, 5))
 def test_it_touches_on_the_straight_way_alone_and_as_deep_as_advised(direction: float) -> None:
-    made = AdvisedRobot(MODEL, TRUTH, hold_s=0.3, seed=1)
-    made.follow(approach(0.0), 0.5)
-    made.follow(approach(0.02, direction), made.path.duration_s + 0.2)
-    path = made.path
+    made = beside()
+    made.touch(approach(0.0), IDLE_S + 0.5)
+    made.touch(approach(0.02, direction), made.duration_s + 0.2)
+    path = made.paths[0]
     times = np.arange(0.0, path.duration_s, 0.005)
     sensors = np.array([path.at(t) for t in times])
     gap, (one, two) = gap_m(sensors), path.touched
     is_within = ((one[0] <= times) & (times <= one[1])) | ((two[0] <= times) & (times <= two[1]))
-    assert gap[~is_within].min() > 0.01
+    assert gap[~is_within].min() > 0.5 * robot.SLOW_FROM_M
     pressed = gap < 0.0
     assert np.count_nonzero(np.diff(pressed.astype(int)) == 1) == 2
     assert -DEPTH_M - 0.002 < gap.min() < -0.5 * DEPTH_M  # a millimetre is felt
@@ -57,12 +66,13 @@ def test_it_touches_on_the_straight_way_alone_and_as_deep_as_advised(direction: 
 
 
 def test_where_there_is_nothing_it_goes_to_the_end_and_back() -> None:
-    made, missed = AdvisedRobot(MODEL, TRUTH, hold_s=0.3, seed=1), approach(0.2)
-    made.follow(missed, 0.5)
-    sensors = np.array([made.path.at(t) for t in np.arange(0.0, made.path.duration_s, 0.005)])
+    made, missed = beside(), approach(0.2)
+    made.touch(missed, IDLE_S + 0.5)
+    path = made.paths[0]
+    sensors = np.array([path.at(t) for t in np.arange(0.0, path.duration_s, 0.005)])
     assert gap_m(sensors).min() > 0.0
     assert np.linalg.norm(sensors - missed.until, axis=1).min() < 0.002
-    assert np.allclose(made.path.end, missed.before)
+    assert np.allclose(path.end, missed.before)
 
 
 def test_it_follows_no_advice_from_before_the_end_of_its_last_touch() -> None:

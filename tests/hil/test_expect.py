@@ -11,12 +11,14 @@ from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld_hil import cli
 from taxeld_hil.experiment import expect
-from taxeld_hil.experiment.expect import AS_IS, BY_TABLE, CALIBRATED, Touched
-from taxeld_hil.experiment.expect_subjects import Asked, known_responses, subjects
+from taxeld_hil.experiment.expect import AS_IS, Touched, cases
 from taxeld_hil.experiment.measurement import RunRow
-from taxeld_hil.rig.rig import IDLE_S, Rig
-from taxeld_hil.world import robot
-from tests.hil.rig import DEMO, MODEL, TRUTH
+from taxeld_hil.trials.play import Touch
+from taxeld_hil.trials.play import world_of as world_of_case
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.subjects import Subject, model_of
+from taxeld_hil.world.world import world_of
+from tests.hil.rig import DEMO
 from tests.rig.commands import refused
 from tests.rig.skins import table_of
 
@@ -27,7 +29,8 @@ PATCH = "cylinder:rows=2,columns=40,radius_m=0.07,pitch_m=0.015"
 
 def trial(seed: int, name: str, *after: tuple[float, float]) -> RunRow:
     """A trial with these errors [mm] and probabilities."""
-    noted = [{"error_mm": mm, "p": p, "radius_mm": 5.0} for mm, p in after]
+    rest = (1.0,), 0.0, 0.0, "", 100, 0.0, 0.0, 0.0
+    noted = [Touch(0, mm, p, 5.0, *rest)._asdict() for mm, p in after]
     return {"name": name, "seed": seed, "after": noted}
 
 
@@ -50,15 +53,15 @@ def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance
     def many(name: str, seeds: int, *sure_from: int) -> list[RunRow]:
         return [one(seed, name, sure_from[seed % len(sure_from)]) for seed in range(seeds)]
 
-    runs = [*many(AS_IS, 20, 0), *many(BY_TABLE, 10, 3, 9), *many("deeper foam", 10, 5)]
-    runs += [*many(CALIBRATED, 10, 1), *many("larger patch", 10, 3, 9)]
+    runs = [*many(AS_IS, 10, 3, 9), *many("deeper foam", 10, 5)]
+    runs += [*many("calibration", 10, 1), *many("larger patch", 10, 3, 9)]
     best, none, worst = expect.helps(runs)
     assert [each.name for each in (best, none, worst)] == [
-        CALIBRATED,
+        "calibration",
         "larger patch",
         "deeper foam",
     ]
-    # by what is looked up in the same way, after the fourth touch
+    # after the fourth touch
     assert (best.trials, best.after, best.found, best.found_and_sure) == (
         10,
         4,
@@ -70,30 +73,19 @@ def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance
         "no difference seen",
         "would hurt",
     )
-    assert expect.helps(runs[:20] + many(CALIBRATED, 7, 1))[0].verdict == "too few seeds to tell"
+    assert expect.helps(runs[:10] + many("calibration", 7, 1))[0].verdict == "too few seeds to tell"
 
 
 def test_a_robot_errs_alike_throughout_a_touch_and_otherwise_in_the_next() -> None:
-    plan = robot.plan(replace(DEMO, contacts=40), MODEL, TRUTH, 0)
-    path = plan.erring(0.002, seed=1)
+    made = world_of(replace(DEMO, contacts=40, robot_m=0.002), 0)
     off = [
-        [path.stated(t)[:2] - path.at(t)[:2] for t in np.linspace(*touched, 4)]
-        for touched in plan.touched
+        [made.stated(t)[:2] - made.sensor(t)[:2] for t in np.linspace(*touched, 4)]
+        for touched in made.touched_s()
     ]
     np.testing.assert_allclose(np.ptp(off, axis=1), 0.0, atol=1e-12)
     assert 0.0015 < np.std(np.array(off)[:, 0]) < 0.0025
-    assert (path.stated(1.0) != path.erring(0.002, seed=2).stated(1.0)).any()
-    np.testing.assert_array_equal(plan.stated(1.0), plan.at(1.0))
-
-
-def test_the_daemon_hears_the_poses_of_a_robot_that_errs() -> None:
-    rig = Rig(replace(DEMO, robot_m=0.003), 0)
-    begin, end = rig.path.touched[0]
-    (row,) = rig.poses(IDLE_S + 0.5 * (begin + end), 100.0, 100.0)
-    true = rig.path.at(0.5 * (begin + end) - 0.004)
-    off = np.array(row[1:]) - true
-    assert np.abs(off[:2]).max() > 1e-4
-    assert off[2] == 0.0
+    right = world_of(DEMO, 0)
+    np.testing.assert_array_equal(right.stated(3.0), right.sensor(3.0))
 
 
 def test_a_skin_that_leaves_half_of_its_link_bare_is_turned_to_the_object(tmp_path: Path) -> None:
@@ -101,37 +93,23 @@ def test_a_skin_that_leaves_half_of_its_link_bare_is_turned_to_the_object(tmp_pa
     head, *rows = table_of(ring).splitlines()
     kept = [row for row in rows if float(row.split(",")[0]) > 0.0]
     half.write_text("\n".join([head, *kept, ""]), encoding="ascii")
-    own = subjects(Asked("box", str(half), "scene"), tmp_path)[AS_IS]
-    assert own.bundle == "box", "on another layout it is cut anew, and none is written for it"
-    assert BY_TABLE not in {job.arguments[0] for job in expect.jobs({AS_IS: own}, 1, 1)}
-    rig = Rig(own, 0)
-    assert len(rig.path.touched) == 8
-    for touched in rig.path.touched:
-        at = rig.path.at(float(np.mean(touched)))
-        seen = se2.compose(se2.inverse(at), rig.world.truth)
-        assert rig.model.activation(seen[None]).max() > 0.0
+    own = cases(Subject("box"), str(half), Conditions(), 8, tmp_path)[AS_IS]
+    for guide in ("around", "random"):
+        made = world_of_case(replace(own, guide=guide), 0)
+        assert len(made.touched_s()) == 8
+        for touched in made.touched_s():
+            seen = se2.compose(se2.inverse(made.sensor(float(np.mean(touched)))), made.truth)
+            assert made.links[0].activation(seen[None]).max() > 0.0
 
 
 def test_a_larger_patch_has_all_taxels_twice_and_stands_on_the_same_height(tmp_path: Path) -> None:
-    made = subjects(Asked("box", foam="scene"), tmp_path)
-    own, larger = (
-        layouts.load(made[name].skin_layout).position_m for name in (AS_IS, "larger patch")
-    )
+    made = cases(Subject("box"), "", Conditions(), 8, tmp_path)
+    of = {name: model_of(case.subject, *case.specs) for name, case in made.items()}
+    own, larger = (of[name].layout.position_m for name in (AS_IS, "larger patch"))
     assert len(larger) == 2 * len(own)
-    assert (
-        Rig(made["deeper foam"], 0).model.depth_max_m == 2.0 * Rig(made[AS_IS], 0).model.depth_max_m
-    )
-    rise_m = np.array(Rig(made["larger patch"], 0).model.scene.heights).max()
-    assert rise_m == pytest.approx(larger[:, 2].max(), abs=0.006)
-    assert made[AS_IS].bundle == "box"  # with its samplers
-
-
-def test_known_responses_undo_those_of_the_very_skin() -> None:
-    typical = DEMO.on("typical")
-    known, rig = known_responses(typical, 3), Rig(typical, 3)
-    own = known.full_scale_counts * known.gain
-    np.testing.assert_allclose(own, rig.world.physics.full_scale)  # type: ignore[attr-defined]
-    assert known.onset.std() > 0.1
+    assert of["deeper foam"].depth_max_m == 2.0 * of[AS_IS].depth_max_m
+    assert of["larger patch"].scene.heights.max() == pytest.approx(larger[:, 2].max(), abs=0.006)
+    assert made["larger patch"].subject.own_height_m - larger[:, 2].max() < 0.04
 
 
 @pytest.mark.smoke
@@ -147,7 +125,7 @@ def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
     assert "calibration" in first.out
     found = json.loads((tmp_path / "expect.json").read_text(encoding="utf-8"))
     assert [row["touches"] for row in found["touches"]] == [1, 2, 3]
-    assert len(found["runs"]) == 6
+    assert len(found["runs"]) == 5
     assert cli.main(command) == 0
     again = capsys.readouterr()
     assert again.out == first.out

@@ -8,7 +8,7 @@ import pytest
 
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld_hil.world import bundled, robot
+from taxeld_hil.world import robot, subjects
 from tests.hil.rig import DEMO, passing
 
 pytestmark = pytest.mark.check
@@ -35,7 +35,7 @@ def test_a_bundle_on_another_layout_is_its_object_at_that_layouts_heights() -> N
     more = DEMO.skin_layout.replace("columns=16", "columns=18")
     wrap = "wrap:modules=12,radius_m=0.05,rows=2"
     shipped, same, other = (
-        bundled.on_layout("box", spec) for spec in (DEMO.skin_layout, more, wrap)
+        subjects.on_layout("box", spec) for spec in (DEMO.skin_layout, more, wrap)
     )
     assert (shipped.order[0], same.order, other.order) == ("density-64", ("table",), ("table",))
     assert np.array_equal(same.model.scene.slices, shipped.model.scene.slices)
@@ -45,16 +45,18 @@ def test_a_bundle_on_another_layout_is_its_object_at_that_layouts_heights() -> N
 
 @pytest.mark.parametrize("about_rad", [0.0, 2.0])
 def test_a_skin_on_one_side_of_its_link_is_turned_to_the_object(about_rad: float) -> None:
-    model = bundled.on_layout("box", DEMO.skin_layout).model
+    model = subjects.on_layout("box", DEMO.skin_layout).model
     half = side(model.layout, about_rad)
-    rng, yaw = np.random.default_rng(0), robot.first_yaw(half, 1.0)
+    turned, rng = robot.LinkRobot(half), np.random.default_rng(0)
+    yaw = turned.first_yaw(1.0)
     for angle in np.linspace(0.0, 12.0, 50):
-        to = robot.next_yaw(half, angle, yaw, rng)
+        to = turned.next_yaw(angle, yaw, rng)
         assert abs(to - yaw) <= np.pi, "by the shorter way"
         faced = se2.wrap(np.float64(angle + np.pi - to - about_rad))
         assert abs(faced) < robot.YAW_SPREAD_RAD + 0.2
         yaw = to
-    around = [robot.next_yaw(model.layout, a, 0.0, np.random.default_rng(1)) for a in (0.0, 3.0)]
+    drifts = robot.LinkRobot(model.layout)
+    around = [drifts.next_yaw(a, 0.0, np.random.default_rng(1)) for a in (0.0, 3.0)]
     assert around[0] == around[1], "one all around it need not be turned"
 
 

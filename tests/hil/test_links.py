@@ -14,11 +14,12 @@ from taxeld.pipeline.freshness import Why
 from taxeld_hil.grade.session import read
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort
-from taxeld_hil.rig.rig import Rig, rigs_of
+from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.run.live import SimulatedRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault
+from taxeld_hil.world.world import world_of
 from taxeld_protocol import array
 from taxeld_protocol.array import ArrayFrame
 from tests.hil.rig import passing
@@ -69,20 +70,17 @@ def test_while_one_link_is_silent_the_other_finds_the_object(tmp_path: Path) -> 
 
 def test_links_touch_one_after_the_other_as_each_would_alone() -> None:
     subject = replace(LINKS, contacts=5, robot_m=0.002)
-    rigs = rigs_of(subject, 3)
-    alone = [Rig(subject.of_link(k), 3, k) for k in range(2)]
-    assert [len(rig.path.touched) for rig in rigs] == [3, 2]
-    assert np.array_equal(rigs[0].world.truth, rigs[1].world.truth)
-    times = np.vstack([rig.path.touched for rig in rigs])
-    times = times[np.argsort(times[:, 0])]
+    both, alone = world_of(subject, 3), world_of(subject.of_link(0), 3)
+    assert [len(path.touched) for path in both.paths] == [3, 2]
+    times = both.touched_s()
     assert (times[1:, 0] > times[:-1, 1]).all()
-    for rig, own in zip(rigs, alone, strict=True):
-        assert (np.diff(rig.path.t) >= 0.0).all()
-        for now, before in zip(rig.path.touched, own.path.touched, strict=True):
-            for share in (0.0, 0.4, 1.0):
-                at, was = (t[0] + share * (t[1] - t[0]) for t in (now, before))
-                np.testing.assert_allclose(rig.path.at(at), own.path.at(was), atol=1e-9)
-                np.testing.assert_allclose(rig.path.stated(at), own.path.stated(was), atol=1e-9)
+    assert all((np.diff(path.t) >= 0.0).all() for path in both.paths)
+    one, other = both.paths[0], alone.paths[0]
+    for now, before in zip(one.touched, other.touched, strict=True):
+        for share in (0.0, 0.4, 1.0):
+            at, was = (t[0] + share * (t[1] - t[0]) for t in (now, before))
+            np.testing.assert_allclose(one.at(at), other.at(was), atol=1e-9)
+            np.testing.assert_allclose(one.stated(at), other.stated(was), atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -16,11 +16,12 @@ from taxeld.layout import read as layouts
 from taxeld.model import contacts
 from taxeld.proposals import bundle
 from taxeld_hil.world import meshes
-from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.mesh_skin import LAYER_M, MeshSkin
 from taxeld_hil.world.solids import Solid
+from taxeld_hil.world.subjects import Subject, solid_of
 
-SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+RING = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+SKIN = layouts.load(RING)
 HALF = np.array([0.05, 0.03, 0.04])
 FACING = np.array([0.04 + 0.05, 0.0, 0.0])  # a box's face just touches column 0
 
@@ -67,12 +68,12 @@ NO_SAG, SAG = np.zeros(len(SKIN)), np.full(len(SKIN), 0.003)
 
 def hard(pose: Floats, solid: Solid = BOX) -> Floats:
     """What points on a hard skin are pressed by."""
-    return MeshSkin(solid, SKIN, 0.0).indentation(pose, NO_SAG)
+    return MeshSkin(solid, SKIN, 0.0, 0.005).indentation(pose, NO_SAG)
 
 
 def soft(pose: Floats, solid: Solid = BOX) -> Floats:
     """What electrodes are under a cover that sags by 1/e in 3 mm."""
-    return MeshSkin(solid, SKIN, 0.002).indentation(pose, SAG)
+    return MeshSkin(solid, SKIN, 0.002, 0.005).indentation(pose, SAG)
 
 
 def faces_of(half: Floats) -> Floats:
@@ -118,7 +119,7 @@ def test_a_soft_skin_sags_beside_the_press_and_nowhere_rises() -> None:
 def test_each_taxel_sags_by_its_own_length_and_one_of_length_0_not_at_all() -> None:
     """A rod of 2 mm presses 8 mm below one row of taxels, and 7 mm above the next."""
     rod = Box(np.array([0.05, 0.05, 0.001]))
-    skin = MeshSkin(Lifted(rod, -0.008), SKIN, 0.002)
+    skin = MeshSkin(Lifted(rod, -0.008), SKIN, 0.002, 0.005)
     lengths = np.zeros(len(SKIN))
     lengths[32], lengths[16] = 0.003, 0.006  # both column 0, in the rows beside the rod
     depth = skin.indentation(pressed(0.003), lengths)
@@ -184,7 +185,7 @@ def test_a_hard_skin_and_the_estimators_model_differ_by_little(
     """Nine in ten taxels within a millimetre; the rest are at edges, where the nearest way out and
     the way along a normal are not the same."""
     model = bundle.load(name, SKIN, 0.005).model
-    skin = MeshSkin(solid_of(name, SKIN), SKIN, 0.0)
+    skin = MeshSkin(solid_of(Subject(name), RING), SKIN, 0.0, 0.005)
     rng = np.random.default_rng(0)
     touches = contacts.synthesise(model.scene, SKIN.radius_m, 0.005, 200, rng)
     theirs = 0.005 * model.activation(touches.pose)
@@ -197,7 +198,7 @@ def test_a_hard_skin_and_the_estimators_model_differ_by_little(
 def test_the_estimators_object_stands_at_the_same_height() -> None:
     """The mug narrows downwards: a height that is off would show as a bias between rows."""
     model = bundle.load("mug", SKIN, 0.005).model
-    solid = solid_of("mug", SKIN)
+    solid = solid_of(Subject("mug"), RING)
     for z in SKIN.position_m[::16, 2]:
         k = int(np.abs(model.scene.heights - z).argmin())
         at = model.scene.surface[np.abs(model.scene.surface[:, 2] - model.scene.heights[k]) < 1e-6]
@@ -242,7 +243,7 @@ def test_a_damaged_bundle_json_is_one_line(tmp_path: Path) -> None:
     box = Path(shutil.copytree(bundle.find("box"), tmp_path / "box"))
     (box / "bundle.json").write_bytes(b"{")
     with pytest.raises(SetupError, match=r"bundle\.json: Expecting property name"):
-        solid_of(str(box), SKIN)
+        solid_of(Subject(str(box)), RING)
 
 
 def test_a_bundle_of_ones_own_mesh_holds_what_a_soft_skin_needs(tmp_path: Path) -> None:
@@ -251,13 +252,13 @@ def test_a_bundle_of_ones_own_mesh_holds_what_a_soft_skin_needs(tmp_path: Path) 
     trimesh.creation.box((0.06, 0.1, 0.2)).export(own / "mesh.stl")
     (own / "bundle.json").write_text(json.dumps(info | {"object": "block"}), encoding="utf-8")
     with pytest.raises(SetupError, match=r"block is no YCB object, and its bundle holds no mesh: "):
-        solid_of(str(own), SKIN)
+        solid_of(Subject(str(own)), RING)
     named = info | {"object": "block", "mesh": "mesh.stl"}
     (own / "bundle.json").write_text(json.dumps(named), encoding="utf-8")
-    distance = solid_of(str(own), SKIN).distance(np.array([[0.0], [0.0], [0.0]]))
+    distance = solid_of(Subject(str(own)), RING).distance(np.array([[0.0], [0.0], [0.0]]))
     assert distance[0] < -0.005
-    beside = solid_of(str(own), SKIN).distance(np.array([[0.032], [0.0], [0.0]]))
+    beside = solid_of(Subject(str(own)), RING).distance(np.array([[0.032], [0.0], [0.0]]))
     assert beside[0] == pytest.approx(0.002, abs=3e-4)
     (own / "bundle.json").write_text(json.dumps(info | {"mesh": "../x.stl"}), encoding="utf-8")
     with pytest.raises(SetupError, match=r"'../x.stl' is no file's name"):
-        solid_of(str(own), SKIN)
+        solid_of(Subject(str(own)), RING)

@@ -1,25 +1,20 @@
 """The demo on the fake clock, and the simulated parts it is made of."""
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import pytest
 
 from taxeld.model import contacts, se2
-from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
-from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault, Scenario
 from taxeld_hil.world import robot
-from taxeld_hil.world.physics import ScenePhysics
-from taxeld_hil.world.robot import RobotPath
-from taxeld_hil.world.world import load_model, make_world
-from taxeld_protocol.modules import wired
-from tests.hil.rig import DEMO, MODEL, MODULES, SKIN
+from taxeld_hil.world.skin import exact
+from taxeld_hil.world.world import IDLE_S, World, world_of
+from tests.hil.rig import DEMO, MODEL, SKIN
 from tests.rig.processes import python
 
 FAR = np.array([5.0, 5.0, 0.0])
@@ -47,8 +42,8 @@ def test_the_uninformed_baseline_is_farther_off_after_two_contacts() -> None:
 
 
 def test_the_robot_touches_as_often_as_asked_and_never_deeper() -> None:
-    truth = make_world(DEMO, MODEL, MODULES, seed=3).truth
-    path = robot.plan(DEMO, MODEL, truth, seed=3)
+    made = world_of(DEMO, 3)
+    path, truth = made.paths[0], made.truth
     sensors = np.array([path.at(t) for t in np.arange(0.0, path.duration_s, 0.005)])
     gap = contacts.clearance(MODEL.scene, SKIN.radius_m, se2.compose(se2.inverse(sensors), truth))
     touching = gap < 0.0
@@ -59,14 +54,11 @@ def test_the_robot_touches_as_often_as_asked_and_never_deeper() -> None:
 
 
 def test_counts_rise_with_pressure_over_a_baseline_of_their_own() -> None:
-    world = make_world(DEMO, MODEL, MODULES, seed=1)
-    idle = np.array([world.counts(FAR, 0.0) for _ in range(50)])
-    assert idle.shape == (50, 88)
+    made = world_of(DEMO, 1)
+    counts = np.array([made.step(t).counts for t in np.arange(0.0, made.duration_s, 0.05)])
+    idle, pressed = counts[:30], counts[30:].max(axis=0)
+    assert idle.shape == (30, 88)
     assert 20 < np.median(idle.std(axis=0)) < 50
-    path = robot.plan(DEMO, MODEL, world.truth, seed=1)
-    pressed = np.array(
-        [world.counts(path.at(t), t) for t in np.arange(0.0, path.duration_s, 0.05)]
-    ).max(axis=0)
     rise = pressed - idle.mean(axis=0)
     temperature = [0, 11, 22, 33]
     assert rise.max() > 5000
@@ -87,12 +79,12 @@ def test_the_demos_physics_need_nothing_but_the_runtime() -> None:
 def test_no_taxel_that_the_object_presses_is_taken_to_be_out_of_its_reach(name: str) -> None:
     """A mug's handle is no part of its outline."""
     model = bundle.load(name, SKIN, 0.005).model
-    physics = ScenePhysics(model, np.full(len(SKIN), DEMO.full_scale_counts))
+    body = exact(model)
     rng = np.random.default_rng(0)
     touches = contacts.synthesise(model.scene, SKIN.radius_m, 0.005, 300, rng).pose
     for seen in touches:
         expected = model.activation(seen[None])[0]
-        assert (physics.press(seen, 0.0) > 0.0).tolist() == (expected > 0.0).tolist()
+        assert (body(seen[None], np.zeros(0)) > 0.0).tolist() == (expected > 0.0).tolist()
 
 
 ENOUGH = 8  # of a mug: fewer may all miss its handle
@@ -101,23 +93,15 @@ BEFORE_S, AFTER_S = 0.5, 1.5  # of a hold: the ramp in; and of a fault: to be ba
 SEEDS = 100
 
 
-@lru_cache
-def model_of(name: str) -> ObservationModel:
-    return load_model(scenario.load("demo").touching(name))
-
-
-def planned(subject: Scenario, seed: int) -> tuple[RobotPath, float, float]:
-    """The path, and the object's centre."""
-    model = model_of(subject.bundle)
-    world = make_world(subject.on("scene"), model, wired(model.layout.uid.tolist()), seed)
-    x, y, _ = se2.compose(world.truth, np.array([*model.scene.centre, 0.0]))
-    return robot.plan(subject, model, world.truth, seed), x, y
-
-
-def held_s(path: RobotPath) -> list[tuple[float, float]]:
+def held_s(made: World) -> list[tuple[float, float]]:
     """Scenario times at which a press is held, from and to."""
-    still = (np.diff(path.pose, axis=0) == 0.0).all(axis=1) & (np.diff(path.t) > 0.0)
-    return [(IDLE_S + path.t[i], IDLE_S + path.t[i + 1]) for i in np.flatnonzero(still)]
+    found = []
+    for path in made.paths:
+        still = (np.diff(path.pose, axis=0) == 0.0).all(axis=1) & (np.diff(path.t) > 0.0)
+        at = IDLE_S + np.column_stack([path.t[:-1], path.t[1:]])[still]
+        begun, ended = IDLE_S + path.touched.T[..., None]
+        found += at[((at[:, 0] > begun) & (at[:, 1] < ended)).any(axis=0)].tolist()
+    return [(begin, end) for begin, end in sorted(found)]
 
 
 def spoils(fault: Fault, begin_s: float, end_s: float) -> bool:
@@ -136,7 +120,7 @@ def test_each_scenario_has_eight_presses_that_no_fault_spoils_nor_a_restart_forg
     for thing in ("box", "mug"):
         subject, clean = scenario.load(name).touching(thing), []
         for seed in range(SEEDS):
-            holds = held_s(planned(subject, seed)[0])
+            holds = held_s(world_of(subject.on("scene"), seed))
             assert len(holds) == subject.contacts
             clean.append(sum(not any(spoils(fault, *h) for fault in subject.fault) for h in holds))
         assert np.median(clean) >= ENOUGH, thing
@@ -145,8 +129,9 @@ def test_each_scenario_has_eight_presses_that_no_fault_spoils_nor_a_restart_forg
 @pytest.mark.parametrize("contacts", [5, 8, 20])
 def test_any_eight_presses_in_turn_come_from_all_sides(contacts: int) -> None:
     subject = Scenario("mug", contacts=contacts)
-    path, x, y = planned(subject, 1)
-    at = np.array([path.at(0.5 * sum(hold) - IDLE_S) for hold in held_s(path)])
+    made = world_of(subject.on("scene"), 1)
+    x, y, _ = se2.compose(made.truth, np.array([*made.links[0].scene.centre, 0.0]))
+    at = np.array([made.sensor(0.5 * sum(hold)) for hold in held_s(made)])
     side = np.arctan2(at[:, 1] - y, at[:, 0] - x)
     for first in range(max(contacts - ENOUGH, 0) + 1):
         around = np.sort(side[first : first + ENOUGH])

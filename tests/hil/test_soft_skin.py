@@ -14,9 +14,10 @@ from taxeld.model import se2
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.physics import MeshPhysics
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.skin import COUNT_MAX, SimulatedSkin
 from taxeld_hil.world.soft_skin import CrossTalk, Foam, PerPress, Response, ThermalDrift, drawn
-from taxeld_hil.world.world import COUNT_MAX, World, make_world
+from taxeld_hil.world.world import World, world_of
 from tests.hil.rig import DEMO, MODEL, MODULES, SKIN
 
 HARD = replace(DEMO, physics="scene")
@@ -25,8 +26,10 @@ SILENT = {"noise_counts": (0.0, 0.0)}
 FAR = np.array([5.0, 5.0, 0.0])
 
 
-def world_of(scenario_: Scenario, seed: int = 1) -> World:
-    return make_world(scenario_, MODEL, MODULES, seed)
+def scanned(made: World, pose: Poses, t: float) -> list[int]:
+    """A scan with the sensor at a pose."""
+    seen = se2.compose(se2.inverse(pose), made.truth)
+    return made.skins[0].counts(seen[None], t, touching=False)
 
 
 def touching(made: World, depth_m: float = 0.003) -> Poses:
@@ -90,47 +93,47 @@ def test_drift_is_never_faster_than_asked() -> None:
 
 
 def test_a_seed_has_the_same_truth_in_both_worlds_and_the_same_counts_again() -> None:
-    scene, mesh, again = world_of(HARD), world_of(MESH), world_of(MESH)
+    scene, mesh, again = world_of(HARD, 1), world_of(MESH, 1), world_of(MESH, 1)
     np.testing.assert_array_equal(scene.truth, mesh.truth)
     pose = touching(mesh)
     times = 0.05 * np.arange(20)
-    assert [mesh.counts(pose, t) for t in times] == [again.counts(pose, t) for t in times]
-    assert mesh.counts(pose, 1.0) != world_of(MESH, 2).counts(pose, 1.0)
+    assert [scanned(mesh, pose, t) for t in times] == [scanned(again, pose, t) for t in times]
+    assert scanned(mesh, pose, 1.0) != scanned(world_of(MESH, 2), pose, 1.0)
 
 
 @pytest.mark.parametrize("full_scale", [20_000.0, 60_000.0])
 def test_counts_stay_within_their_range_however_hard_the_press(full_scale: float) -> None:
-    made = world_of(replace(MESH, full_scale_counts=full_scale, baseline_counts=20_000.0))
+    made = world_of(replace(MESH, full_scale_counts=full_scale, baseline_counts=20_000.0), 1)
     for depth in (0.001, 0.0045, 0.005):
-        counts = made.counts(touching(made, depth), depth)
+        counts = scanned(made, touching(made, depth), depth)
         assert all(type(value) is int and 0 < value < COUNT_MAX for value in counts)
     assert max(counts) > 25_000
 
 
 def test_temperature_channels_drift_with_the_taxels_and_hardly_read_a_press() -> None:
     quiet = replace(MESH, mesh=Given({**SILENT, "drift_counts_per_min": 60.0}))
-    made = world_of(quiet)
-    counts = np.array([made.counts(FAR, t) for t in np.arange(0.0, 1800.0, 60.0)])
+    made = world_of(quiet, 1)
+    counts = np.array([scanned(made, FAR, t) for t in np.arange(0.0, 1800.0, 60.0)])
     counts -= counts[0]
     t0 = counts[:, 0]
     assert np.ptp(t0) > 500
     share = counts[:, 1:11].T @ t0 / (t0 @ t0)
     assert np.corrcoef(counts[:, 1], t0)[0, 1] > 0.999
     assert 0.0 < share.std() < 1.0
-    rise = np.array(made.counts(touching(made), 1740.0)) - np.array(made.counts(FAR, 1740.0))
+    rise = np.array(scanned(made, touching(made), 1740.0)) - np.array(scanned(made, FAR, 1740.0))
     assert rise.max() > 5000
     assert rise[[0, 11, 22, 33]].max() < 0.1 * rise.max()
 
 
 def test_with_every_effect_off_the_worlds_differ_by_geometry_alone() -> None:
-    scene = world_of(replace(HARD, mesh=Given(SILENT)))
-    mesh = world_of(replace(MESH, mesh=Given({**asdict(PLAIN), **SILENT})))
-    np.testing.assert_array_equal(scene.counts(FAR, 0.0), mesh.counts(FAR, 0.0))
+    scene = world_of(replace(HARD, mesh=Given(SILENT)), 1)
+    mesh = world_of(replace(MESH, mesh=Given({**asdict(PLAIN), **SILENT})), 1)
+    np.testing.assert_array_equal(scanned(scene, FAR, 0.0), scanned(mesh, FAR, 0.0))
     gaps = []
     for depth in (0.001, 0.002, 0.003, 0.004):
         pose = touching(scene, depth)
-        one, other = np.array(scene.counts(pose, 0.0)), np.array(mesh.counts(pose, 0.0))
-        gaps.append(np.abs(one - other)[one - np.array(scene.counts(FAR, 0.0)) > 500])
+        one, other = np.array(scanned(scene, pose, 0.0)), np.array(scanned(mesh, pose, 0.0))
+        gaps.append(np.abs(one - other)[one - np.array(scanned(scene, FAR, 0.0)) > 500])
     assert np.median(np.concatenate(gaps)) < 0.1 * HARD.full_scale_counts
 
 
@@ -232,20 +235,8 @@ def test_half_of_the_spread_is_the_taxels_own_and_half_the_presses() -> None:
     assert drawn.mean(axis=2).std(axis=1).mean() == pytest.approx(rate * np.sqrt(0.5), rel=0.15)
 
 
-FULL = np.full(len(SKIN), 20_000.0)
 AWAY_STEPS = 60
 ROUNDING = 1e-6  # counts
-
-
-class GivenDepths:
-    """Depths [m] that are given, in place of a solid's: that of a pose is its x."""
-
-    def __init__(self, depth_m: Floats) -> None:
-        self.depth_m = depth_m  # (steps, M)
-
-    def indentation(self, seen: Poses, _sag_m: Floats) -> Floats:
-        step = int(seen[0])
-        return self.depth_m[step] if step < len(self.depth_m) else np.zeros(len(SKIN))
 
 
 @pytest.mark.parametrize("name", SKINS)
@@ -266,9 +257,14 @@ def test_while_nothing_is_touched_no_reading_rises(
     depth_m = np.zeros((steps, len(SKIN)))
     on = rng.random((steps, len(taxels))) < pressed
     depth_m[:, taxels] = np.where(on, rng.uniform(0.0, 0.006, on.shape), 0.0)
-    physics = MeshPhysics(SKINS[name], GivenDepths(depth_m), SKIN, 0.005, FULL, rng)  # type: ignore[arg-type]
+    left = iter(depth_m / 0.005)
+
+    def pressed_next(_seen: Poses, _sag_m: Floats) -> Floats:
+        return next(left, np.zeros(len(SKIN)))
+
+    skin = SimulatedSkin(Conditions(foam=name), SKIN, MODULES, pressed_next, rng)
     counts = np.array(
-        [physics.press(np.array([k, 0.0, 0.0]), period_s * k) for k in range(steps + AWAY_STEPS)]
+        [skin.press(np.zeros((1, 3)), period_s * k) for k in range(steps + AWAY_STEPS)]
     )
     assert (np.diff(counts[steps:], axis=0) <= ROUNDING).all()
     assert counts.min() >= 0.0

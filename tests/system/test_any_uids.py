@@ -12,9 +12,12 @@ import pytest
 
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld_hil.experiment.expect_subjects import Asked, subjects
+from taxeld_hil.experiment.expect import cases
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.trials.play import play
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.subjects import Subject
 from tests.hil.rig import DEMO
 from tests.rig.skins import SKIN, table_of
 from tests.training.rig import box
@@ -48,9 +51,9 @@ def test_a_layout_of_any_uids_comes_as_an_array_and_no_bus_carries_it(layout: Pa
     assert (grade.run.scenario.transport, grade.figures["contacts"]) == ("array", 2)
     with pytest.raises(SetupError, match="skin has other UIDs: it comes as an array"):
         Rig(demo.over("slcan"), 0)
-    larger = subjects(Asked("box", str(layout), "scene"), layout.parent)["larger patch"]
-    assert len(set(layouts.load(larger.layout).uid)) == 2 * len(SKIN)
-    assert larger.transport == "array"
+    larger = cases(Subject("box"), str(layout), Conditions(), 2, layout.parent)["larger patch"]
+    assert len(set(layouts.load(larger.specs[0]).uid)) == 2 * len(SKIN)
+    assert play(larger, 0)[0].status != "starting"
 
 
 @pytest.mark.check

@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
+from taxeld_hil.trials.case import Case, Method
+from taxeld_hil.trials.play import play
+from taxeld_hil.world.subjects import Subject
 from taxeld_training.cli import main
-from taxeld_training.trials import limit, play, questions, run, samplers
-from taxeld_training.trials.play import Case, Method, Subject
+from taxeld_training.trials import limit, questions, run, samplers
 from taxeld_training.trials.questions import Asked
 from taxeld_training.trials.run import Workers
 
@@ -67,7 +69,7 @@ def test_charts_stand_beside_the_rows(block: Path, tmp_path: Path) -> None:
 
 def test_the_grid_meets_the_trials_of_what_ships_and_looks_once(block: Path) -> None:
     case = Case((Subject(str(block)),), layouts=(RING,), touches=2)
-    ours, grid = play.play(case, 1), limit.play(replace(case, method=Method("grid")), 1)
+    ours, grid = play(case, 1), limit.play(replace(case, method=Method("grid")), 1)
     assert len(ours) == len(grid) == 2
     assert math.isnan(grid[0].error_mm)
     assert math.isfinite(grid[1].error_mm)

@@ -10,19 +10,15 @@ from taxeld.arrays import Floats
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
-from taxeld_training.filters.pushing import (
-    DEPTH_M,
-    STEP_M,
-    TOUCHES,
-    Ground,
-    PushedTrial,
-    by_ground,
-    gave_way,
-)
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.ground import DEPTH_M, Ground, by_ground, gave_way
+from taxeld_hil.world.world import World
+from taxeld_protocol.modules import wired
 
 from .rig import gap_m
 
 TRIALS = 10
+STEP_M = 0.002  # way of the sensor between two scans
 
 
 class Calm(np.random.Generator):
@@ -52,26 +48,31 @@ def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> floa
     return -float(gap_m(model, seen)[0])
 
 
-def test_the_object_gives_way_until_friction_holds_it(ring_model: ObservationModel) -> None:
-    trials = [PushedTrial(ring_model, seed) for seed in range(TRIALS)]
-    scans = [scan for trial in trials for scan in trial if scan.touch == TOUCHES]
-    depths = [depth(ring_model, scan.truth, scan.sensor) for scan in scans]
-    assert max(depths) < DEPTH_M + 3e-4
-    assert np.mean(np.array(depths) > DEPTH_M - 3e-4) > 0.5
+def ground_of(model: ObservationModel, seed: int) -> Ground:
+    return Ground.drawn(model.scene, np.random.default_rng(seed))
 
 
-def test_the_object_stands_until_it_is_pushed_and_moves_no_farther_than_the_sensor(
+def test_the_object_gives_way_until_friction_holds_it_and_never_moves_farther_than_the_sensor(
     ring_model: ObservationModel,
 ) -> None:
-    ways_m = []
+    ways_m, depths = [], []
     for seed in range(TRIALS):
-        scans = list(PushedTrial(ring_model, seed))
-        for before, after in pairwise(scans):
+        modules = wired(ring_model.layout.uid.tolist())
+        made = World([ring_model], [modules], Conditions(robot_m=0.0), seed)
+        made.plan("push", 1)
+        made.push()
+        steps = [made.step(t) for t in np.arange(made.push_s, made.duration_s, 0.05)]
+        for before, after in pairwise(steps):
             if depth(ring_model, before.truth, after.sensor) < DEPTH_M:
                 assert np.array_equal(before.truth, after.truth)
-        gap = se2.compose(se2.inverse(scans[0].truth), scans[-1].truth)
+        depths += [depth(ring_model, step.truth, step.sensor) for step in steps]
+        gap = se2.compose(se2.inverse(steps[0].truth), steps[-1].truth)
         ways_m.append(np.hypot(gap[0], gap[1]))
-        assert ways_m[-1] < STEP_M * len(scans)
+        assert ways_m[-1] < STEP_M * len(steps)
+        assert ways_m[-1] < made.pushed_m + 0.02
+    pressed = np.array(depths)[np.array(depths) > 0.0]
+    assert max(depths) < DEPTH_M + 3e-4
+    assert np.mean(pressed > DEPTH_M - 3e-4) > 0.5
     assert max(ways_m) > 0.1
 
 
@@ -126,7 +127,7 @@ def test_who_is_told_the_ground_pushes_every_particle_as_the_world_does(
     after = before - [STEP_M, 0.0, 0.0]
     turns = []
     for seed in range(TRIALS):
-        ground = PushedTrial(ring_model, seed).ground
+        ground = ground_of(ring_model, seed)
         (pose,), _ = gave_way(ring_model, ground, np.zeros((1, 3)), before, after)
         poses, pushed = by_ground(ground)(
             ring_model,
@@ -145,13 +146,13 @@ def test_who_is_told_the_ground_pushes_every_particle_as_the_world_does(
 
 
 def test_no_filter_knows_the_grounds_of_the_trials(ring_model: ObservationModel) -> None:
-    grounds = [PushedTrial(ring_model, seed).ground for seed in range(40)]
+    grounds = [ground_of(ring_model, seed) for seed in range(40)]
     off = [np.linalg.norm(g.centre - ring_model.scene.centre) for g in grounds]
     radius_m = ring_model.scene.mean_radius
     assert 0.1 * radius_m < np.median(off) < 0.4 * radius_m  # no filter has a load off the centre
     frictions = [g.friction for g in grounds]
     assert min(frictions) < 0.3
     assert max(frictions) > 0.5
-    again = PushedTrial(ring_model, 0).ground
+    again = ground_of(ring_model, 0)
     assert np.array_equal(again.points, grounds[0].points)
     assert all(np.isclose(g.load.sum(), 1.0) for g in grounds)

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from taxeld_hil.trials.case import Case
+from taxeld_hil.trials.play import Touch
+from taxeld_hil.world.subjects import Subject
 from taxeld_training.trials import score, statistics
-from taxeld_training.trials.play import Case, Subject, Touch
 from taxeld_training.trials.questions import Cell
 from taxeld_training.trials.score import Played
 

@@ -2,43 +2,44 @@
 
 import pytest
 
-from taxeld.config.tables import FilterConfig
-from taxeld.estimator.estimator import Estimator
-from taxeld.layout import read as layouts
 from taxeld.model.symmetry import add_m
-from taxeld.proposals import bundle
-from taxeld_training.filters.conditions import TrialConditions
-from taxeld_training.filters.trials import Trial
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld.proposals.samples import Samples
+from taxeld_hil.trials.case import Case
+from taxeld_hil.trials.play import Direct, world_of
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.subjects import Subject, model_of
 
-SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SEEDS = 6
 
 
-def ends(given: TrialConditions) -> list[tuple[float, float]]:
+def ends(given: Conditions) -> list[tuple[float, float]]:
     """Of trials with the box: error [mm] after eight touches, and the scale of the slack."""
-    loaded = bundle.load("box", layouts.load(SKIN), 0.005)
-    proposal = loaded.proposal("table")
-    found = []
+    case, found = Case((Subject("box"),), conditions=given), []
+    model = model_of(case.subject, *case.specs)
     for seed in range(SEEDS):
-        estimator = Estimator(loaded.model, proposal, FilterConfig(seed=seed), 0.001)
-        for moment in Trial(loaded.model, seed, 8, given):
-            estimate = estimator.on_scan(moment.activation, moment.sensor)
-        error = 1e3 * add_m(loaded.model.scene, estimate.map, moment.truth)[1]
-        found.append((error, estimator.rule.memory.slack.scale))
+        samples = Samples(case.proposals())
+        direct = Direct(
+            world_of(case, seed), Pipeline(case.config(seed), [model.layout], [model], samples)
+        )
+        for outcome in direct.outcomes(direct.world.duration_s):
+            estimate = outcome.estimate
+        error = 1e3 * add_m(model.scene, estimate.map, direct.world.truth_at(direct.t))[1]
+        found.append((error, direct.pipeline.estimator.rule.memory.slack.scale))
     return found
 
 
 def test_touches_that_agree_exactly_are_believed_exactly() -> None:
-    assert [slack for _, slack in ends(TrialConditions())].count(0.0) >= SEEDS // 2
+    assert [slack for _, slack in ends(Conditions(robot_m=0.0))].count(0.0) >= SEEDS // 2
 
 
 @pytest.mark.parametrize(
     "given",
-    [TrialConditions(sensor_sd_m=0.002), TrialConditions(pushed_m=0.002)],
+    [Conditions(robot_m=0.002), Conditions(robot_m=0.0, moved_m=0.002)],
     ids=["robot", "moved"],
 )
 def test_touches_that_are_off_are_given_room_and_the_object_is_found(
-    given: TrialConditions,
+    given: Conditions,
 ) -> None:
     found = ends(given)
     assert [slack > 0.0 for _, slack in found].count(True) >= SEEDS // 2

@@ -21,9 +21,9 @@ from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals import manifest
 from taxeld_hil.objects import bundles, meshes
+from taxeld_hil.trials.case import SHIPPED, Method
 from taxeld_training import progress
 from taxeld_training.filters import touches
-from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.objects.report import doubts
 from taxeld_training.progress import Tell
 from taxeld_training.samplers import candidates
@@ -68,7 +68,7 @@ class Build:
             yield from self._one(name, out)
         if len(places) > 1:
             with progress.shown((touches.PAIRS,), sys.stderr) as tell:
-                folders, (skin, _) = list(places.values()), self._links[0]
+                folders, skin = list(places.values()), self.layouts[0]
                 told = touches.pairs(folders, skin, self.foam, self.trials, tell)
             yield from pairs(told, self.out)
         yield f"took       {time.monotonic() - began_s:.0f} s"
@@ -120,8 +120,8 @@ class Build:
 
     def _train(self, model: ObservationModel, given: Candidates, made: Path, tell: Tell) -> None:
         bundles.seal(made, candidates.make(model, given, made, tell))
-        skin, _ = self._links[0]
-        bundles.seal(made, touches.counted(made, skin, self.foam, self.trials, tell))
+        told = touches.counted(made, self.layouts[0], self.foam, self.trials, tell)
+        bundles.seal(made, told)
 
 
 def command(name: str, layout: str, height_m: float, depth_m: float) -> str:

@@ -84,8 +84,9 @@ def _expect(args: argparse.Namespace) -> int:
     taxeld-hil expect --object box --layout skin.json
     taxeld-hil expect --object bracket.stl --layout skin.json --foam poor --robot-mm 2
     """
-    from taxeld_hil.experiment import expect, expect_report
-    from taxeld_hil.experiment.expect_subjects import Asked, subjects
+    from taxeld_hil.experiment import expect
+    from taxeld_hil.world.conditions import Conditions
+    from taxeld_hil.world.subjects import Subject
 
     until = time.monotonic() + 60.0 * args.minutes
     seeds, touches = (2, 3) if args.quick else (args.seeds, args.touches)
@@ -93,12 +94,12 @@ def _expect(args: argparse.Namespace) -> int:
         if value < 1:
             raise SetupError(f"{option} must be at least 1")
     depth_m = None if args.depth_mm is None else 1e-3 * args.depth_mm
-    asked = Asked(args.object, args.layout, args.foam, 1e-3 * args.robot_mm, args.height_m, depth_m)
-    tried = subjects(asked, args.memory / "expect")
-    todo = expect.jobs(tried, seeds, touches)
+    subject = Subject(args.object, height_m=args.height_m, depth_m=depth_m)
+    given = Conditions(foam=args.foam, robot_m=1e-3 * args.robot_mm, robot_told=True)
+    made = expect.cases(subject, args.layout, given, touches, args.memory / "expect")
+    todo = expect.jobs(made, seeds)
     runs = _done(todo, args, expect.described, until)
-    out = args.out or Path("expect")
-    for line in expect_report.written(asked, tried[expect.AS_IS], runs, out):
+    for line in expect.written(made[expect.AS_IS], runs, args.out or Path("expect")):
         print(line)
     if len(runs) < len(todo):
         print(f"{len(runs)} of {len(todo)} runs in {args.minutes:g} minutes; again for more")

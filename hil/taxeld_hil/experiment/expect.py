@@ -1,35 +1,41 @@
-"""`taxeld-hil expect`: how well an object will be found with a skin, touch by touch.
+"""`taxeld-hil expect`: how well an object will be found with a skin, touch by touch; and what would
+help: twice the patch, twice the foam's depth, or a calibration.
 
-Touches go around the object. What is noted of each comes shortly after its end: whether the
-object is *found*, and the estimate *sure* or *misleading*, as in `integrity`.
+Its trials are those of `taxeld_hil.trials`: the daemon's default filter with the table, which needs
+no training, on random presses. An object is *found*, and an estimate *sure* or *misleading*, as in
+`integrity`.
 """
 
+import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from taxeld.estimator.estimate import Estimate
-from taxeld.model.symmetry import add_m
-from taxeld.pipeline.freshness import Why
-from taxeld.proposals.analytic import Table
-from taxeld_hil.experiment.expect_subjects import known_responses
-from taxeld_hil.experiment.measurement import RunRow, digest
-from taxeld_hil.integrity import Claims
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.layout.read import COLUMNS
+from taxeld_hil.experiment import measurement
+from taxeld_hil.experiment.measurement import RunRow
+from taxeld_hil.integrity import FOUND_MM, Claims
 from taxeld_hil.jobs import Job
-from taxeld_hil.rig.rig import IDLE_S
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.objects import meshes
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.bundled import on_layout
+from taxeld_hil.trials.case import DEFAULT_LAYOUT, Case
+from taxeld_hil.trials.play import Touch, play
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.subjects import Subject, model_of, solid_of
+from taxeld_protocol.modules import MAX_MODULES
 
-RATE_HZ = 40.0
-HOLD_S = 0.7  # how long a press is held
-SEEN_S = 0.4  # after the end of a touch, by when the daemon has learned from it
-KEYS = "p", "radius_mm", "error_mm"  # of what is noted of a touch
-AS_IS, BY_TABLE, CALIBRATED = "as it is", "as it is, by table", "calibration"
-TABLE = 'proposal = "table"'
+AS_IS = "as it is"
+DEEPER = 2.0  # times the depth
+DEPTHS_M = (1e-4, 0.05)  # limits, as of skin.full_scale_depth_m
+ROBOT_MAX_M = 0.05
+BELOW_M = 0.005  # under the lowest taxel: a skin is wider than its taxels
 HALF = 0.5  # share of trials that are sure, at which what would help is compared
 LEAST = 8  # seeds of which something is said
 CHANCE = 2.0  # standard errors that chance alone may make
@@ -58,53 +64,59 @@ class Help(NamedTuple):
     verdict: str  # by the trials that are found and sure, against chance
 
 
-def jobs(subjects: dict[str, Scenario], seeds: int, touches: int) -> list[Job]:
+def cases(
+    asked: Subject, layout: str, given: Conditions, touches: int, place: Path
+) -> dict[str, Case]:
+    """The case as it is, and what would change it, by name. Layouts that are made
+    for them are kept in `place`.
+
+    Raises:
+        SetupError: there is no such object or layout, or one does not go with the other.
+    """
+    if not 0.0 <= given.robot_m <= ROBOT_MAX_M:
+        most = 1e3 * ROBOT_MAX_M
+        raise SetupError(f"--robot-mm: must be 0..{most:g}, not {1e3 * given.robot_m:g}")
+    subject, spec = _placed(asked, layout)
+    if not DEPTHS_M[0] <= subject.own_depth_m <= DEPTHS_M[1]:
+        raise SetupError(f"--depth-mm: must be 0.1..50, not {1e3 * subject.own_depth_m:g}")
+    skin = layouts.load(spec)
+    own = Case((subject,), layouts=(spec,), conditions=given, touches=touches)
+    made = {AS_IS: own, "calibration": replace(own, conditions=replace(given, calibrated=True))}
+    if 2 * len(np.unique(skin.uid >> 4)) <= MAX_MODULES:
+        larger = _doubled(skin, place)
+        rise_m = skin.position_m[:, 2].min() - layouts.load(larger).position_m[:, 2].min()
+        higher = replace(subject, height_m=subject.own_height_m + float(rise_m))
+        made["larger patch"] = replace(own, known=(higher,), layouts=(larger,))
+    if DEEPER * subject.own_depth_m <= DEPTHS_M[1]:
+        deeper = replace(subject, depth_m=DEEPER * subject.own_depth_m)
+        made["deeper foam"] = replace(own, known=(deeper,))
+    return made
+
+
+def jobs(made: dict[str, Case], seeds: int) -> list[Job]:
     """A job for each trial, seed by seed, so that a part of them is as fair as all. Every other
-    seed also tries what would help; all of that by the same proposal, looked-up contacts."""
-    own = subjects[AS_IS]
-    by_table = on_layout(own.bundle, own.skin_layout).order == (Table.name,)
-    changed = {} if by_table else {BY_TABLE: own}
-    changed |= {CALIBRATED: own} | {k: v for k, v in subjects.items() if k != AS_IS}
-    found = []
-    for seed in range(seeds):
-        todo = {AS_IS: own} | (changed if seed % 2 == 0 else {})
-        for name, subject in todo.items():
-            keys = "" if name == AS_IS else TABLE
-            arguments = (name, subject, seed, touches, keys)
-            found.append(Job(f"{name}, seed {seed}", play, arguments, code=digest(subject)))
-    return found
+    seed also tries what would help."""
+    for case in made.values():  # built here once, before several workers need it
+        model_of(case.subject, *case.specs)
+        if not case.conditions.is_exact:
+            solid_of(case.subject, *case.specs)
+    code = {name: case.digest for name, case in made.items()}
+    return [
+        Job(f"{name}, seed {seed}", row, (name, case, seed), code=code[name])
+        for seed in range(seeds)
+        for name, case in made.items()
+        if seed % 2 == 0 or name == AS_IS
+    ]
 
 
-def play(name: str, subject: Scenario, seed: int, touches: int, keys: str) -> RunRow:
-    """One trial, as JSON has it; `keys`: of the daemon's table [filter]."""
-    calibration = known_responses(subject, seed) if name == CALIBRATED else None
-    subject = replace(subject, contacts=touches, hold_s=HOLD_S)
-    run = FakeRun(subject, seed, RATE_HZ, keys, calibration)
-    notes = IDLE_S + run.rig.path.touched[:, 1] + SEEN_S
-    after: list[dict[str, Any]] = []
-    for k in range(math.ceil(notes[-1] * RATE_HZ) + 1):
-        e = run.step(k / RATE_HZ)
-        if k / RATE_HZ >= notes[len(after)]:
-            after.append(_noted(run, e))
-    return {"name": name, "seed": seed, "after": after}
-
-
-def _noted(run: FakeRun, e: Estimate | None) -> dict[str, Any]:
-    assert e is not None  # noqa: S101  (there is an estimate after each tick)
-    assert run.daemon is not None  # noqa: S101
-    error_m = add_m(run.rig.model.scene, e.map, run.rig.world.truth)[1]
-    is_valid = run.daemon.pipeline.freshness.why(e, run.line.now) is Why.VALID
-    return {
-        "error_mm": round(1e3 * error_m, 3),
-        "p": round(e.p if is_valid else 0.0, 4),
-        "radius_mm": round(1e3 * e.radius_m, 3),
-    }
+def row(name: str, case: Case, seed: int) -> RunRow:
+    """One trial, as JSON has it."""
+    return {"name": name, "seed": seed, "after": [each._asdict() for each in play(case, seed)]}
 
 
 def claims(runs: Sequence[RunRow]) -> Claims:
     """The estimates of N trials after T touches each (N, T)."""
-    noted = [[[each[key] for key in KEYS] for each in run["after"]] for run in runs]
-    return Claims(*np.moveaxis(np.array(noted), -1, 0))
+    return Claims.of_trials([[Touch(**each) for each in run["after"]] for run in runs])
 
 
 def described(run: RunRow) -> str:
@@ -127,16 +139,13 @@ def table(runs: Sequence[RunRow]) -> list[Touched]:
 def helps(runs: Sequence[RunRow]) -> list[Help]:
     """What each change does, by trials of the same seeds, most helpful first. Shares are those
     after the first touch after which half of the trials are sure without it, or the last."""
-    names = dict.fromkeys(run["name"] for run in runs)
     base = {run["seed"]: run for run in runs if run["name"] == AS_IS}
-    if BY_TABLE in names:
-        base = {run["seed"]: run for run in runs if run["name"] == BY_TABLE}
     if not base:
         return []
     rows = table(list(base.values()))
     after = next((row.touches for row in rows if row.found_and_sure >= HALF), rows[-1].touches)
     found = []
-    for name in [name for name in names if name not in (AS_IS, BY_TABLE)]:
+    for name in dict.fromkeys(run["name"] for run in runs if run["name"] != AS_IS):
         mine = [run for run in runs if run["name"] == name and run["seed"] in base]
         pairs = [(base[run["seed"]], run) for run in mine]
         if pairs:
@@ -159,3 +168,93 @@ def _help(name: str, after: int, pairs: Sequence[tuple[RunRow, RunRow]]) -> Help
         verdict = "would help" if gain.mean() > 0.0 else "would hurt"
     was, became = (tuple(each.mean(axis=0).tolist()) for each in (found, sure))
     return Help(name, len(pairs), after, was, became, verdict)
+
+
+def written(own: Case, runs: Sequence[RunRow], out: Path) -> Iterator[str]:
+    """The lines that are printed, once `expect.json` is written into the directory `out`.
+
+    Raises:
+        SetupError: no trial was done, or the directory cannot be written.
+    """
+    trials = [run for run in runs if run["name"] == AS_IS]
+    if not trials:
+        raise SetupError("--minutes: no run was done; give more")
+    model, given = model_of(own.subject, *own.specs), own.conditions
+    rows, changes = table(trials), helps(runs)
+    asked = {"object": own.subject.name, "layout": own.specs[0], "foam": given.foam}
+    measurement.save(
+        out / "expect.json",
+        runs,
+        asked=asked | {"robot_m": given.robot_m, "depth_m": model.depth_max_m},
+        touches=[row._asdict() for row in rows],
+        helps=[each._asdict() for each in changes],
+    )
+    yield (
+        f"{own.subject.name} on {model.layout.name}, {len(model.layout)} taxels, foam {given.foam} "
+        f"of {1e3 * model.depth_max_m:g} mm, robot {1e3 * given.robot_m:g} mm: {len(trials)} trials"
+    )
+    yield ""
+    yield from lines(rows, changes)
+    yield str(out / "expect.json")
+
+
+def lines(rows: Sequence[Touched], changes: Sequence[Help]) -> Iterator[str]:
+    """A Markdown table, then a line on each change."""
+    head = ["touches", "median mm", "90 % mm", f"found (< {FOUND_MM:.0f} mm)", "found and sure"]
+    yield "| " + " | ".join([*head, "misleading"]) + " |"
+    yield "|---" * (len(head) + 1) + "|"
+    for row in rows:
+        shares = [f"{share:.0%}" for share in (row.found, row.found_and_sure, row.misleading)]
+        errors = [f"{mm:.1f}" for mm in (row.median_mm, row.p90_mm)]
+        yield "| " + " | ".join([str(row.touches), *errors, *shares]) + " |"
+    yield ""
+    for each in changes:
+        found, sure = (
+            f"{100 * a:.0f} -> {100 * b:.0f} %" for a, b in (each.found, each.found_and_sure)
+        )
+        yield (
+            f"{each.verdict}: {each.name} {found} found, {sure} found and sure after {each.after} "
+            f"({each.trials} seeds)"
+        )
+
+
+def _placed(asked: Subject, layout: str) -> tuple[Subject, str]:
+    """The object at the height at which it is touched, and the layout. Where that is not its
+    bundle's own, the skin does not reach below the object.
+
+    Raises:
+        SetupError: there is no such object or layout.
+    """
+    built = asked.manifest
+    if built is None:
+        try:
+            meshes.find(asked.name)
+        except SetupError as error:
+            raise SetupError(
+                f"--object: {error}; or a bundle: box, drill, mug, or a path"
+            ) from None
+    spec = layout or (DEFAULT_LAYOUT if built is None else Scenario(asked.name).skin_layout)
+    skin = layouts.load(spec)
+    if asked.height_m is not None or (built and built.layout.digest == skin.digest):
+        return asked, spec
+    least_m = float(np.ceil(1e3 * (BELOW_M - skin.position_m[:, 2].min()))) / 1e3
+    return replace(asked, height_m=max(asked.own_height_m, least_m)), spec
+
+
+def _doubled(layout: Layout, place: Path) -> str:
+    """The path of a table of a patch of two such layouts, one above the other."""
+    position, (modules, module) = layout.position_m, np.unique(layout.uid >> 4, return_inverse=True)
+    gap = np.linalg.norm(position[:, None] - position, axis=2) + 1e3 * np.eye(len(layout))
+    step_m = float(np.ptp(position[:, 2]) + np.median(gap.min(axis=1)))
+    lines = [",".join([*COLUMNS, "uid"])]
+    for k in range(2):
+        uid = (module + 1 + k * len(modules)) << 4 | layout.uid & 0xF
+        rows = np.hstack([position + np.array([0.0, 0.0, k * step_m]), layout.normal])
+        for row, own in zip(rows, uid, strict=True):
+            lines.append(",".join([*(f"{v:.7f}" for v in row), str(own)]))
+    text = "\n".join([*lines, ""])
+    place.mkdir(parents=True, exist_ok=True)
+    stem = Path(layout.name.split(":")[0]).stem
+    path = place / f"{stem}-2-{hashlib.sha256(text.encode()).hexdigest()[:12]}.csv"
+    path.write_text(text, encoding="ascii")
+    return str(path)

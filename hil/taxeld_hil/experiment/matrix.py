@@ -10,7 +10,7 @@ from taxeld_hil.jobs import Job
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.bundled import solid_of
+from taxeld_hil.world.subjects import Subject, solid_of
 from taxeld_hil.world.world import load_model
 
 
@@ -35,9 +35,9 @@ def jobs(
         for name, skin, bundle, layout in product(scenarios, skins, objects, layouts)
     ]
     for _, subject in subjects:  # a mesh is built once, before several workers need it
-        model = load_model(subject)
+        load_model(subject)
         if subject.physics != "scene":
-            solid_of(subject.bundle, model.layout)
+            solid_of(Subject(subject.bundle), subject.skin_layout)
     return [
         Job(title(name, subject, seed), play, (name, subject, seed), code=digest(subject))
         for seed, (name, subject) in product(range(seeds), subjects)

@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 from taxeld.errors import SetupError
 from taxeld.layout import read as layout_files
 from taxeld.proposals import bundle, manifest
-from taxeld_hil import jobs
 from taxeld_hil.grade.grade import Grade
 from taxeld_hil.integrity import is_found
 from taxeld_hil.jobs import layout_name
 from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.trials.case import code
 
 RunRow: TypeAlias = dict[str, Any]  # one run's figures, as JSON has them
 
@@ -82,9 +82,3 @@ def save(path: Path, runs: Sequence[RunRow], **about: Any) -> None:
 def content(layout: str) -> str:
     """The digest of a layout file, or of a line; empty: of the bundle's own."""
     return layout_files.read(layout).digest if layout else ""
-
-
-def code() -> str:
-    """Hash of the code and of the files shipped with it."""
-    packages = "taxeld", "taxeld_protocol", "taxeld_hil"
-    return jobs.code(tuple(f"{name}/**/*.{end}" for name in packages for end in ("py", "toml")))

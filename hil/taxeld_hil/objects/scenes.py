@@ -76,9 +76,10 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
     )
 
 
-def cut_all(name: str, at: Sequence[tuple[Layout, float]]) -> list[Scene]:
-    """As `cut`, on each of several links, as `build_all` has them."""
-    return build_all(meshes.load(meshes.find(name)[0]), at)
+def cut_all(name: str, at: Sequence[tuple[Layout, float]], scale: float = 1.0) -> list[Scene]:
+    """As `cut`, on each of several links, as `build_all` has them; the object scaled first."""
+    mesh = meshes.load(meshes.find(name)[0])
+    return build_all(mesh if scale == 1.0 else mesh.apply_scale(scale), at)
 
 
 def build_all(mesh: trimesh.Trimesh, at: Sequence[tuple[Layout, float]]) -> list[Scene]:

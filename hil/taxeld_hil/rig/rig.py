@@ -9,15 +9,14 @@ from itertools import accumulate
 
 import numpy as np
 
-from taxeld.advice.advice import Advice
+from taxeld.advice.advice import Advice, Approach
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
 from taxeld_hil.rig.faults import Injector, PoseRow
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
-from taxeld_hil.world import robot
-from taxeld_hil.world.advised import AdvisedRobot
-from taxeld_hil.world.world import load_model, make_world, placed
+from taxeld_hil.world.robot import RobotPath
+from taxeld_hil.world.world import LINK_SEEDS, World, world_of
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.array import ArrayFrame, Group
 from taxeld_protocol.cyskin import Command, Packet
@@ -26,12 +25,11 @@ from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 
 POSE_PERIOD_S = 0.01
 POSE_AGE_S = 0.004  # age of a pose in its message: scans fall between poses
-IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
+BRIEF_S = 1e-6  # sums of periods are not exact
 ADVICE_S = 10.0  # that the robot waits for advice
 SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
 ARRAY_ID = "skin"
 HUB_UID = 0xC15C0001  # of the first link's
-LINK_SEEDS = 1_000_003  # from a link's seed to the next one's
 # a hub that speaks the native link has left its own bootloader, which speaks CAN alone; what sends
 # an array has no host to start it
 PHASES = {"native": Phase.MODULES, "array": Phase.RUNNING}
@@ -41,15 +39,18 @@ BEFORE_S = -1.0  # scenario time while no host has started the skin
 class Rig:
     """A scenario with a seed: hub, world, robot, injector and ledger."""
 
-    def __init__(self, scenario: Scenario, seed: int, link: int = 0) -> None:
-        """`link`: the number of the link that it is of; all have the same object in one place.
+    def __init__(
+        self, scenario: Scenario, seed: int, link: int = 0, world: World | None = None
+    ) -> None:
+        """`scenario`: of the link of this number; `world`: of all links, where there are several.
 
         Raises:
             SetupError: skin or object cannot be loaded, or a fault or the transport does not fit
                 them.
         """
-        self._own_seeds = LINK_SEEDS * link
-        self.model = load_model(scenario)
+        self.world = world or world_of(scenario, seed)
+        self._link = link
+        self.model = self.world.links[link]
         self._taxel_uids: list[int] = self.model.layout.uid.tolist()
         self.line = scenario.transport == "native"
         self.is_array = scenario.transport == "array"
@@ -62,9 +63,6 @@ class Rig:
                 f"{self.model.layout.name} has other UIDs: it comes as an array, "
                 "without --can"
             )
-        self.world = make_world(scenario, self.model, self.modules, seed + self._own_seeds)
-        if link:
-            self.world.truth = placed(scenario, np.random.default_rng(seed))
         phase = PHASES.get(scenario.transport, Phase.BOOTLOADER)
         self.hub = VirtualIhb(self.modules, HUB_UID + link, phase=phase)
         channels = tuple(module.channels for module in self.modules)
@@ -73,42 +71,50 @@ class Rig:
         self._was_on = True
         self._next_pose_s = -1e9
         self._now = 0.0  # time stamp of the next frames [s]
-        self._begin(scenario, seed)
+        self.begin(scenario, seed)
 
     def lap(self, scenario: Scenario, seed: int) -> None:
         """Go on with another scenario on the same skin: the object stands elsewhere, and scenario
         time begins anew."""
-        self.world.truth = placed(scenario, np.random.default_rng([seed, 2]))
-        self._begin(scenario, seed)
+        self.world.lap(scenario, seed)
+        self.begin(scenario, seed)
 
-    def _begin(self, scenario: Scenario, seed: int) -> None:
-        self.scenario, seed = scenario, seed + self._own_seeds
-        self._seed = seed
-        self.advised: AdvisedRobot | None = None
-        self._waits = scenario.advised
-        if scenario.advised:
-            self.advised = AdvisedRobot(self.model, self.world.truth, scenario.hold_s, seed)
-            plan = self.advised.path
-        else:
-            plan = robot.plan(scenario, self.model, self.world.truth, seed)
-        self.path = plan.erring(scenario.robot_m, seed)
-        self._injector = self._injecting(scenario, seed)
+    def begin(self, scenario: Scenario, seed: int) -> None:
+        """Begin a scenario of this link, for which the world is made."""
+        self.scenario, self._waits = scenario, scenario.advised
+        self._contacts, self._tried = -1, list[Poses]()  # approaches since so many contacts
+        self._injector = self._injecting(scenario, seed + LINK_SEEDS * self._link)
+
+    @property
+    def path(self) -> RobotPath:
+        """As far as it is planned."""
+        return self.world.paths[self._link]
 
     def advise(self, advice: Advice, of_t: float, t: float) -> None:
         """Have a robot that waits for it follow an advice on the belief at scenario time `of_t`;
         an advice that is older than its last touch is left."""
-        if self.advised is None or not self.wants_advice(of_t):
+        if not self.wants_advice(of_t):
             return
-        scenario, touches = self.scenario, len(self.path.touched)
         is_over = advice.is_enough or not advice.approaches
-        self._waits = touches < scenario.contacts and not is_over
+        self._waits = self.world.touches < self.scenario.contacts and not is_over
         if self._waits:
-            self.advised.follow(self.advised.best(advice), t - IDLE_S)
-            self.path = self.advised.path.erring(scenario.robot_m, self._seed)
+            self.world.touch(self._best(advice), t)
+
+    def _best(self, advice: Advice) -> Approach:
+        """The best approach that was not tried since the last contact."""
+        if advice.contacts != self._contacts:
+            self._contacts, self._tried = advice.contacts, []
+
+        def is_new(one: Approach) -> bool:
+            return not any(np.allclose(one.before, was) for was in self._tried)
+
+        found = next(filter(is_new, advice.approaches), advice.approaches[0])
+        self._tried.append(found.before)
+        return found
 
     def wants_advice(self, of_t: float) -> bool:
         """Whether a robot waits for advice on the belief at scenario time `of_t`."""
-        return self._waits and of_t > IDLE_S + self.path.duration_s
+        return self._waits and of_t > self.world.duration_s
 
     def _check(self, fault: Fault, number: int) -> None:
         """Raises SetupError where a fault names a module or taxel that the skin does not have."""
@@ -133,7 +139,7 @@ class Rig:
         ends = [fault.end_s for fault in self.scenario.fault]
         last = max(ends, default=0.0) + self.scenario.expect.recovery_s + SETTLE_S
         rest_s = ADVICE_S if self._waits else self.scenario.rest_s
-        return max(IDLE_S + self.path.duration_s + rest_s, last if ends else 0.0)
+        return max(self.world.duration_s + rest_s, last if ends else 0.0)
 
     def taxels_of(self, fault: Fault) -> list[int]:
         """The taxels that a fault is about, as the layout numbers them."""
@@ -164,7 +170,7 @@ class Rig:
             return []
         out = [] if self.is_array else self._injector.due(t, line=self.line)
         if t >= 0.0 and self.hub.due(now):
-            counts = self._injector.counts(self.world.counts(self.pose(t), now), t)
+            counts = self._injector.counts(self.world.step(t, self._link, now).counts, t)
             if self.is_array:
                 return [self._array(counts, now)]
             for answer in self.hub.sensor_data(counts):
@@ -175,17 +181,13 @@ class Rig:
         """The units that faults held back, at the end."""
         return self._injector.flush()
 
-    def pose(self, t: float) -> Poses:
-        """True pose of the sensor (3,)."""
-        return self.path.at(t - IDLE_S)
-
     def poses(self, t: float, now: float, wall: float) -> list[PoseRow]:
         """The robot's poses, stamped with Unix time `wall`, which may be set; `now` as for
         `scan`."""
-        if now < self._next_pose_s:
+        if now < self._next_pose_s - BRIEF_S:
             return []
         self._next_pose_s = max(self._next_pose_s + POSE_PERIOD_S, now)
-        x, y, theta = self.path.stated(t - POSE_AGE_S - IDLE_S).tolist()
+        x, y, theta = self.world.stated(t - POSE_AGE_S, self._link).tolist()
         rows = self._injector.poses((wall - POSE_AGE_S, x, y, theta), t)
         self.ledger.poses_sent += len(rows)
         return rows
@@ -232,19 +234,12 @@ def rigs_of(scenario: Scenario, seed: int) -> list[Rig]:
         SetupError: as of `Rig`, or the links do not fit the scenario's other keys.
     """
     scenario.check_links()
-    rigs = [Rig(scenario.of_link(k), seed, k) for k in range(scenario.links)]
-    _take_turns(rigs)
-    return rigs
+    world = world_of(scenario, seed)
+    return [Rig(scenario.of_link(k), seed, k, world) for k in range(scenario.links)]
 
 
 def lap(rigs: Sequence[Rig], scenario: Scenario, seed: int) -> None:
     """Go on with another scenario on the same links, as `Rig.lap`."""
+    rigs[0].world.lap(scenario, seed)
     for number, rig in enumerate(rigs):
-        rig.lap(scenario.of_link(number), seed)
-    _take_turns(rigs)
-
-
-def _take_turns(rigs: Sequence[Rig]) -> None:
-    paths = robot.in_turn([rig.path for rig in rigs])
-    for rig, path in zip(rigs, paths, strict=True):
-        rig.path = path
+        rig.begin(scenario.of_link(number), seed)

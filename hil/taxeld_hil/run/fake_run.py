@@ -21,7 +21,7 @@ from taxeld_hil.run.fake import FakeDaemon, MemoryLine
 from taxeld_hil.run.session_run import SessionRun, write_truth
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
-from taxeld_hil.world import bundled
+from taxeld_hil.world import subjects
 
 NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
 HEALTH_S = 1.0
@@ -55,7 +55,7 @@ class FakeRun(SessionRun):
         parsed = config_file.parse(self.config_text)
         self.config = replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))
         where = [rig.scenario.skin_layout for rig in self.rigs]
-        self.scenes = [bundled.on_layout(name, *where) for name in scenario.known]
+        self.scenes = [subjects.on_layout(name, *where) for name in scenario.known]
         self.skin = self.scenes[0].model.layout
         self._calibration = calibration
         self._dead: FakeDaemon | None = None

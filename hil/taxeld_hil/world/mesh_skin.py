@@ -30,11 +30,7 @@ class MeshSkin:
     """The indentation of a skin's M taxels, vectorised over the skin's points."""
 
     def __init__(
-        self,
-        solid: Solid,
-        layout: Layout,
-        taxel_radius_m: float,
-        depth_max_m: float = 0.0,
+        self, solid: Solid, layout: Layout, taxel_radius_m: float, depth_max_m: float
     ) -> None:
         """Its foam reads full scale at `depth_max_m`."""
         self._solid = solid
@@ -58,9 +54,15 @@ class MeshSkin:
         self._normal = np.stack([np.cos(phi), np.sin(phi)])
         self._point = np.stack([r * self._normal[0], r * self._normal[1], z])
         self._patch, self._middle, self._widest_m = _patches(self._point, phi * r)
+        self._full_m = depth_max_m
         self._layer_m = max(LAYER_M, LAYER * depth_max_m)
         self._depths = np.arange(0.0, self._layer_m + 0.5 * STEP_M, STEP_M)
         self._reach = solid.size + float(radius.max())
+
+    def __call__(self, seen: Poses, sag_m: Floats) -> Floats:
+        """(M,) depths in full scales, of the nearest of objects at poses (K, 3); as a `Body`."""
+        deepest = np.max([self.indentation(one, sag_m) for one in seen], axis=0)
+        return np.asarray(deepest / self._full_m)
 
     def indentation(self, seen: Poses, sag_m: Floats) -> Floats:
         """(M,) [m] of each taxel, the object at `seen` (3,) in the sensor frame; `sag_m` (M,): the

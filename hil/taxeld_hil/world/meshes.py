@@ -26,7 +26,7 @@ MARGIN_M = 0.01  # width of the grid beside the mesh; distances there are lower 
 BLOCK = 500_000  # pairs of a triangle and a point looked at together
 
 
-def load(name: str, height_m: float, reach_z_m: float) -> Grid:
+def load(name: str, height_m: float, reach_z_m: float, scale: float = 1.0) -> Grid:
     """The solid of a YCB id or an STL file, in a frame `height_m` above its lowest point, as far as
     `reach_z_m` above and below that.
 
@@ -36,11 +36,11 @@ def load(name: str, height_m: float, reach_z_m: float) -> Grid:
     """
     path = _find(name)
     raw = path.read_bytes()
-    key = f"{FORMAT} {height_m:.6f} {reach_z_m:.6f} {CELL_M} {NEAR_M} {MARGIN_M}".encode()
+    key = f"{FORMAT} {height_m:.6f} {reach_z_m:.6f} {scale} {CELL_M} {NEAR_M} {MARGIN_M}".encode()
     kept = _cache() / f"{Path(name).stem}-{hashlib.sha256(raw + key).hexdigest()[:16]}.npz"
     grid = _kept(kept)
     if grid is None:
-        triangles = read(path)
+        triangles = scale * read(path)
         triangles[..., 2] -= triangles[..., 2].min() + height_m
         grid = build(triangles, reach_z_m)
         with contextlib.suppress(OSError):  # no place to keep it: built again the next time

@@ -1,103 +1,259 @@
-"""The simulated world: an object that stands still, and a skin whose taxels all differ."""
+"""The simulated world: an object, the skins of one or several links, and their robots.
+
+A seed draws the same object's place, baselines and touches under all conditions but those that
+choose among them. What drives it says when scans are made, by scenario time: the skin is untouched
+for `IDLE_S`, as the daemon learns its baseline then. Links touch one after the other, and nothing
+keeps them from passing through each other.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from taxeld.advice.advice import Approach
 from taxeld.arrays import Floats, Poses
-from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import bundled
+from taxeld_hil.world import ground, plan
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.ground import Ground
 from taxeld_hil.world.mesh_skin import MeshSkin
-from taxeld_hil.world.physics import MeshPhysics, Physics, ScenePhysics
-from taxeld_hil.world.soft_skin import drawn
-from taxeld_protocol.modules import Module
+from taxeld_hil.world.plan import PLANNED, Toucher
+from taxeld_hil.world.robot import RobotPath
+from taxeld_hil.world.skin import Body, SimulatedSkin, exact
+from taxeld_hil.world.solids import Solid
+from taxeld_hil.world.subjects import Subject, model_of, solid_of
+from taxeld_protocol.array import Group
+from taxeld_protocol.modules import Module, wired
 
-COUNT_MAX = 0xFFFF
-T0_COUNTS = 12_000  # level of every module's temperature channel; a press hardly moves it
-T0_LEAK = 0.02  # share of a press that it reads: 356 of 8 500 counts on a real skin
+IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
+LINK_SEEDS = 1_000_003  # from a link's seed to the next one's
+NUDGE_RAD = np.pi / 6.0  # largest angle between a nudge and the touch's line: friction
+AWAY = np.array([100.0, 100.0, 0.0])  # where the object is while it is carried elsewhere
+
+
+class Step(NamedTuple):
+    """The world at a moment, for one link of M taxels."""
+
+    sensor: Poses  # (3,) as it is
+    stated: Poses  # (3,) as the robot states it
+    truth: Poses  # (3,) of the object
+    depth: Floats  # (M,) of the press, in depths at full scale
+    counts: list[int]  # channel by channel
+
+
+class World:
+    """One object's place, or several one after the other, before the same skins."""
+
+    def __init__(
+        self,
+        links: Sequence[ObservationModel],
+        modules: Sequence[Sequence[Module]],
+        given: Conditions,
+        seed: int,
+        solid: Solid | None = None,
+    ) -> None:
+        """`links`: the touched object on each; `modules` of each link, whose channels are read;
+        `solid`: the object itself, which foam meets unless it is exact."""
+        self.links = links
+        self.skins = list[SimulatedSkin]()
+        for k, (model, own) in enumerate(zip(links, modules, strict=True)):
+            rng = np.random.default_rng(seed + LINK_SEEDS * k)
+            _placed(given, rng)
+            body: Body = exact(model)
+            if not given.is_exact and solid is not None:
+                body = MeshSkin(solid, model.layout, given.skin.taxel_radius_m, model.depth_max_m)
+            self.skins.append(SimulatedSkin(given, model.layout, own, body, rng))
+        self._begin(given, seed, np.random.default_rng(seed))
+
+    def _begin(self, given: Conditions, seed: int, rng: np.random.Generator) -> None:
+        self._given, self._seed = given, seed
+        self.place(_placed(given, rng))
+        self._extra = np.random.default_rng([seed, 21])
+        model = self.links[0]
+        self.twin = plan.beside(model, self._extra) if given.both else None
+        angle, turn = self._extra.uniform(-np.pi, np.pi), self._extra.choice([-1.0, 1.0])
+        step = given.moved_m * np.array([np.cos(angle), np.sin(angle)])
+        self._step = np.array([*step, turn * given.moved_rad])
+        self._now = 0.0
+        self.push_s = np.inf  # when a push begins
+        self.pushed_m = 0.0  # way of the sensor while it has pushed the object
+        self._before: Poses | None = None  # where the sensor was before, in a push
+        self.touches = 0  # that are planned
+        self.paths = [RobotPath(np.zeros(1), AWAY[None]) for _ in self.links]
+
+    @cached_property
+    def ground(self) -> Ground:
+        """What the object rests on."""
+        return Ground.drawn(self.links[0].scene, np.random.default_rng([self._seed, 23]))
+
+    def place(self, pose: Poses) -> None:
+        """Have the object stand at a pose (3,), before any touch is planned."""
+        self.truth = pose
+        self._places = [(0.0, pose)]  # where it stands, by time on the path [s]
+
+    def lap(self, scenario: Scenario, seed: int) -> None:
+        """Put the object elsewhere, before the same skins, and plan a scenario's touches; scenario
+        time begins anew."""
+        self._begin(Conditions.of(scenario), seed, np.random.default_rng([seed, 2]))
+        self.plan(guide_of(scenario), scenario.contacts)
+
+    def plan(self, guide: str, touches: int) -> None:
+        """Have the robots touch the object so often: by `random` presses, or `around` it. By any
+        other guide they begin, and are told what to touch by `touch`."""
+        self._touchers = [
+            Toucher(model, self._given, guide, self._seed + LINK_SEEDS * k)
+            for k, model in enumerate(self.links)
+        ]
+        for k, toucher in enumerate(self._touchers):
+            toucher.begin(self.truth, len(range(k, touches, len(self.links))), self.twin)
+        for _ in range(touches if guide in PLANNED else 0):
+            self.touch()
+        self._take_paths()
+
+    def touch(self, approach: Approach | None = None, begin_s: float = 0.0) -> None:
+        """Plan another touch after all before and no sooner than at the scenario time `begin_s`:
+        along an approach, or a press of the plan's own."""
+        link = self.touches % len(self.links) if approach is None else approach.link
+        toucher, place = self._touchers[link], self._places[-1][1]
+        now = max(self._now, begin_s - IDLE_S)
+        is_taken = self.touches > 0 and self.touches == self._given.kidnapped_after
+        if is_taken:
+            self._put(now, AWAY)
+            place = _placed(self._given, self._extra)
+        elif self.touches and self._step.any():
+            place = place + self._step
+            self._put(now, place)
+        line = toucher.arrive(place, now, approach)
+        if is_taken:
+            self._put(toucher.robot.now, place)
+        if line is None and approach is not None:
+            toucher.robot.miss(approach.before, approach.until)
+        elif line is not None:
+            after = self._nudged(place, line) if self._given.nudged_m else place
+            moved = se2.compose(after, se2.inverse(place))
+            times = toucher.press(line, moved, self._extra)
+            if after is not place:
+                self._places += zip(times, (place, after), strict=True)
+        self.touches += 1
+        self._now = toucher.robot.now
+        if approach is not None:
+            self._take_paths()
+
+    def push(self) -> None:
+        """Plan a push along a straight line after all touches: the object gives way to it."""
+        self._pushed = self._places[-1][1]
+        self._touchers[0].push(self._pushed)
+        self._take_paths()
+        self.push_s = float(self.touched_s()[-1, 0])
+
+    def _give_way(self, sensor: Poses) -> None:
+        """The sensor has come to a pose (3,) while it pushes."""
+        model, before = self.links[0], self._before
+        if before is not None:
+            (place,), _ = ground.gave_way(model, self.ground, self._pushed[None], before, sensor)
+            self._pushed = place
+        seen = se2.compose(se2.inverse(sensor), self._pushed)[None]
+        if before is not None and model.activation(seen).any():
+            self.pushed_m += float(np.linalg.norm(sensor[:2] - before[:2]))
+        self._before = sensor
+
+    def _put(self, t: float, place: Poses) -> None:
+        """Have the object stand elsewhere from then on."""
+        self._places += [(t, self._places[-1][1]), (t, place)]
+
+    def _take_paths(self) -> None:
+        sd = self._given.robot_m, self._given.robot_rad
+        self.paths = [
+            toucher.robot.path.erring(sd[0], self._seed + LINK_SEEDS * k, sd[1])
+            for k, toucher in enumerate(self._touchers)
+        ]
+
+    def _nudged(self, place: Poses, line: Poses) -> Poses:
+        """Where a press along a line (4, 3) leaves the object: 0.5 to 1.5 × `nudged_m` away from
+        the skin, up to `NUDGE_RAD` beside the line, and turned about its centre."""
+        size, aside, turn = self._extra.uniform([0.5, -1.0, -1.0], [1.5, 1.0, 1.0])
+        scene, (x, y) = self.links[0].scene, (line[3] - line[2])[:2]
+        angle = np.arctan2(y, x) + NUDGE_RAD * aside
+        moved = self._given.nudged_m * size * np.array([np.cos(angle), np.sin(angle)])
+        turned = self._given.nudged_m / scene.mean_radius * turn
+        about = se2.compose(place, se2.rotation_about(scene.centre, turned))
+        return np.array([*(about[:2] + moved), place[2] + turned])
+
+    @property
+    def duration_s(self) -> float:
+        """Scenario time to the end of the planned touches."""
+        return IDLE_S + max(path.duration_s for path in self.paths)
+
+    def touched_s(self) -> Floats:
+        """(N, 2) scenario times at which the touches of all links begin and end, in their order."""
+        touched = np.vstack([path.touched for path in self.paths])
+        return np.asarray(IDLE_S + touched[np.argsort(touched[:, 0])])
+
+    def truth_at(self, t: float) -> Poses:
+        """The object's pose (3,) at scenario time t."""
+        if t >= self.push_s:
+            return self._pushed
+        if len(self._places) == 1:
+            return self.truth
+        times, poses = zip(*self._places, strict=True)
+        return RobotPath(np.array(times), np.array(poses)).at(t - IDLE_S)
+
+    def sensor(self, t: float, link: int = 0) -> Poses:
+        """The true pose (3,) of a link's sensor at scenario time t."""
+        return self.paths[link].at(t - IDLE_S)
+
+    def stated(self, t: Floats | float, link: int = 0) -> Poses:
+        """The poses (…, 3) that the robot states for scenario times t (…)."""
+        return self.paths[link].stated(np.asarray(t) - IDLE_S)
+
+    def step(self, t: float, link: int = 0, now: float | None = None) -> Step:
+        """A scan of a link at scenario time t; `now`: a clock that goes on where another object is
+        placed. Times do not go back."""
+        sensor = self.sensor(t, link)
+        if t >= self.push_s and not link:
+            self._give_way(sensor)
+        truth = self.truth_at(t)
+        seen = se2.compose(se2.inverse(sensor), truth)[None]
+        if self.twin is not None:
+            seen = np.vstack([seen, se2.compose(seen, self.twin)])
+        skin, begun = self.skins[link], self.paths[link].touched
+        touching = bool(len(begun)) and t - IDLE_S >= begun[0, 0]
+        counts = skin.counts(seen, t if now is None else now, touching=touching)
+        return Step(sensor, self.stated(t, link), truth, skin.depth, counts)
+
+
+def world_of(scenario: Scenario, seed: int) -> World:
+    """The world of a scenario, its touches planned.
+
+    Raises:
+        SetupError: skin or object cannot be loaded.
+    """
+    specs = [scenario.of_link(k).skin_layout for k in range(scenario.links)]
+    subject, given = Subject(scenario.bundle), Conditions.of(scenario)
+    links = model_of(subject, *specs).links
+    kind = Group if scenario.transport == "array" else Module
+    modules = [wired(link.layout.uid.tolist(), kind) for link in links]
+    solid = None if given.is_exact else solid_of(subject, *specs)
+    world = World(links, modules, given, seed, solid)
+    world.plan(guide_of(scenario), scenario.contacts)
+    return world
 
 
 def load_model(scenario: Scenario) -> ObservationModel:
-    """The skin and the object of a scenario, as the daemon has them.
-
-    Raises:
-        SetupError: either cannot be loaded.
-    """
-    return bundled.on_layout(scenario.bundle, scenario.skin_layout).model
+    """The skin and the object of a scenario, as the daemon has them. Raises SetupError."""
+    return model_of(Subject(scenario.bundle), scenario.skin_layout)
 
 
-class Channels:
-    """Which taxel and which module each channel of a scan reads."""
-
-    def __init__(self, layout: Layout, modules: Sequence[Module]) -> None:
-        index = {int(uid): i for i, uid in enumerate(layout.uid)}
-        uids = [uid for module in modules for uid in module.uids]
-        self.taxel = np.array([index.get(uid, -1) for uid in uids])  # -1: no taxel, but T0
-        self.module = np.repeat(range(len(modules)), [m.channels for m in modules])
+def guide_of(scenario: Scenario) -> str:
+    """How the robot of a scenario touches."""
+    return "advised" if scenario.advised else "around"
 
 
-@dataclass(slots=True)
-class World:
-    """The object's pose, and the counts of M taxels wherever the sensor is."""
-
-    truth: Poses  # (3,) of the object
-    baseline: Floats  # (M,) counts of the untouched skin
-    noise_counts: Floats  # (M,) sd of a reading
-    physics: Physics
-    channels: Channels
-    rng: np.random.Generator  # draws the noise
-
-    def counts(self, sensor: Poses, t: float) -> list[int]:
-        """One scan, channel by channel, with the sensor at a pose (3,) in the world at t [s]."""
-        seen = se2.compose(se2.inverse(sensor), self.truth)
-        press = self.physics.press(seen, t)
-        drift, t0_drift = self.physics.drift(t)
-        noise = self.noise_counts * self.rng.standard_normal(len(press))
-        taxels = self.baseline + press + drift + noise
-        at, module = self.channels.taxel, self.channels.module
-        pressed = np.where(at >= 0, press[at], 0.0)
-        leak = np.bincount(module, pressed)[module] * T0_LEAK
-        values = np.where(at >= 0, taxels[at], T0_COUNTS + leak + t0_drift)
-        return [int(v) for v in np.clip(np.round(values), 1, COUNT_MAX - 1)]
-
-
-def make_world(
-    scenario: Scenario, model: ObservationModel, modules: Sequence[Module], seed: int
-) -> World:
-    """The scenario's world, drawn from the seed: truth, baselines, gains, then what the physics and
-    the noise draw. So a seed has the same truth and baselines on every skin, and gains that differ
-    by their spread alone; and what a skin draws beside comes from generators of its own.
-
-    Raises:
-        SetupError: the object's mesh cannot be found or read.
-    """
-    rng, taxels = np.random.default_rng(seed), len(model.layout)
-    truth = placed(scenario, rng)
-    baseline = scenario.baseline_counts + scenario.baseline_spread * _normal(rng, taxels)
-    skin = scenario.skin
-    gain = np.maximum(1.0 + skin.gain_cv * rng.standard_normal(taxels), 0.1)
-    full_scale = scenario.full_scale_counts * gain
-    noise = drawn(skin.noise_counts, rng.spawn(1)[0].standard_normal(taxels))
-    physics: Physics = ScenePhysics(model, full_scale)
-    if scenario.physics != "scene":
-        solid = bundled.solid_of(scenario.bundle, model.layout)
-        cover = MeshSkin(solid, model.layout, skin.taxel_radius_m, model.depth_max_m)
-        physics = MeshPhysics(skin, cover, model.layout, model.depth_max_m, full_scale, rng)
-    channels = Channels(model.layout, modules)
-    return World(truth, baseline, noise, physics, channels, rng)
-
-
-def placed(scenario: Scenario, rng: np.random.Generator) -> Poses:
+def _placed(given: Conditions, rng: np.random.Generator) -> Poses:
     """Where the object stands (3,)."""
-    most = np.array([scenario.place_m, scenario.place_m, np.pi])
+    most = np.array([given.place_m, given.place_m, np.pi])
     return rng.uniform(-most, most)
-
-
-def _normal(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
-    """Standard normals within ±3: a baseline must stay a reading."""
-    return np.clip(rng.standard_normal(n), -3.0, 3.0)

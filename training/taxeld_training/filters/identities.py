@@ -13,7 +13,7 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index
 from taxeld_hil.integrity import Claims
-from taxeld_training.filters.methods import TouchResult
+from taxeld_hil.trials.play import Touch
 
 UNKNOWN = -1  # `true` of a run whose object the filter does not know
 PARTED = 0.99  # probability of the touched object, were there but one other, that parts the two
@@ -31,14 +31,13 @@ class Identities(Claims):
     other: Floats  # (N, T) probability of none of them
 
     @classmethod
-    def of(cls, runs: Sequence[tuple[int, Sequence[TouchResult]]]) -> "Identities":
+    def of(cls, runs: Sequence[tuple[int, Sequence[Touch]]]) -> "Identities":
         """Runs as (number of the touched object, results of the touches)."""
-        named, p, error_mm, radius_mm, objects = (
+        named, p, error_mm, radius_mm, objects, other = (
             np.array([[getattr(touch, key) for touch in run] for _, run in runs])
-            for key in ("object", "p", "map_mm", "radius_mm", "objects")
+            for key in ("object", "p", "error_mm", "radius_mm", "objects", "other")
         )
         true = np.array([number for number, _ in runs])
-        other = np.array([[touch.hypotheses.other for touch in run] for _, run in runs])
         return cls(p, radius_mm, error_mm, true, named, objects, other)
 
     def __len__(self) -> int:

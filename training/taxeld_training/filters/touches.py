@@ -7,7 +7,7 @@ says which of them is enough, and the daemon runs that one.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,25 +16,24 @@ import numpy as np
 
 from taxeld.arrays import Floats
 from taxeld.config import tables
-from taxeld.estimator.bank import Known
-from taxeld.layout.layout import Layout
+from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC, Table
 from taxeld_hil import jobs
 from taxeld_hil.integrity import Claims
+from taxeld_hil.trials.case import SHIPPED, TABLED, Case, Method
+from taxeld_hil.trials.play import Touch, play
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.subjects import Subject
 from taxeld_training.filters import identities
-from taxeld_training.filters.conditions import TrialConditions
-from taxeld_training.filters.follow import estimator_of, follow
 from taxeld_training.filters.identities import Identities
-from taxeld_training.filters.methods import SHIPPED, TABLED, Method, TouchResult, claims
-from taxeld_training.filters.trials import Trial
 from taxeld_training.samplers.candidates import interval
 
 STAGE, PAIRS = "trials", "pairs"
-FOAMS = {  # levels of filters/levels.py
-    "exact": TrialConditions(),
-    "typical": TrialConditions(skin="typical"),
-    "poor": TrialConditions(skin="poor"),
+FOAMS = {
+    "exact": Conditions(),
+    "typical": Conditions(foam="typical"),
+    "poor": Conditions(foam="poor"),
 }
 SIZES = (25, 50, SHIPPED.particles, 200)  # N at least, of the filters that are tried
 TOUCHES = 8  # of a trial
@@ -67,16 +66,16 @@ def tried(sampler: str, trials: int) -> dict[str, Method]:
 
 
 def counted(
-    folder: Path, layout: Layout, foam: str, trials: int, progress: Progress
+    folder: Path, layout: str, foam: str, trials: int, progress: Progress
 ) -> dict[str, Any]:
     """The part of bundle.json about the trials of the bundle in `folder`: of each filter, how many
     had found their object and were sure of it after each touch, and how many misled; and the
     filter that is enough. All meet the same touches."""
-    order = bundle.load(str(folder), layout).order
+    order = bundle.load(str(folder), layouts.load(layout)).order
     filters = tried(next(name for name in order if name not in ANALYTIC), trials)
     of = [(method, 0) for method in filters.values()]
     done = _played([folder], layout, foam, of, trials, partial(progress, STAGE))
-    told = dict(zip(filters, map(claims, done), strict=True))
+    told = dict(zip(filters, map(Claims.of_trials, done), strict=True))
     return _chosen(filters, told, order) | {
         "touches": {
             "foam": foam,
@@ -88,7 +87,7 @@ def counted(
 
 
 def pairs(
-    folders: Sequence[Path], layout: Layout, foam: str, trials: int, progress: Progress
+    folders: Sequence[Path], layout: str, foam: str, trials: int, progress: Progress
 ) -> dict[str, Any]:
     """How many touches part each pair of the objects of the bundles in `folders`. Each object is
     touched in turn, and a filter that knows them all, with the table, says which one it is. What
@@ -139,48 +138,26 @@ def _chosen(
 
 def _played(
     folders: Sequence[Path],
-    layout: Layout,
+    layout: str,
     foam: str,
     of: Sequence[tuple[Method, int]],
     trials: int,
     progress: Callable[[float], None],
-) -> list[list[list[TouchResult]]]:
+) -> list[list[list[Touch]]]:
     """So many trials of each filter that knows the objects of all bundles, where the object with
     the given number is touched: the results of each touch."""
     blocks = [range(trials)[first : first + BLOCK] for first in range(0, trials, BLOCK)]
     todo = [(*one, block) for one in of for block in blocks]
-    found: list[list[list[TouchResult]]] = [[] for _ in of]
-    made = jobs.beside(_block, _Opened(folders, layout, foam), todo, WORKERS)
-    for number, played in enumerate(made):
+    found: list[list[list[Touch]]] = [[] for _ in of]
+    known = tuple(Subject(str(folder)) for folder in folders)
+    case = Case(known, None, (layout,), FOAMS[foam], touches=TOUCHES)
+    for number, played in enumerate(jobs.beside(_block, case, todo, WORKERS)):
         found[number // len(blocks)] += played
         progress((number + 1) / len(todo))
     return found
 
 
-@dataclass
-class _Opened:
-    """The bundles that a worker has opened."""
-
-    folders: Sequence[Path]
-    layout: Layout
-    foam: str
-    known: dict[str, list[Known]] = field(default_factory=dict)  # by the name of their proposal
-
-    def by(self, proposal: str) -> list[Known]:
-        if proposal not in self.known:
-            all_ = [bundle.load(str(folder), self.layout) for folder in self.folders]
-            self.known[proposal] = [Known(one.model, one.open(proposal)) for one in all_]
-        return self.known[proposal]
-
-
-def _block(opened: _Opened, one: tuple[Method, int, range]) -> list[list[TouchResult]]:
+def _block(case: Case, one: tuple[Method, int, range]) -> list[list[Touch]]:
     method, true, seeds = one
-    known = opened.by(method.proposal)
-    return [
-        follow(
-            Trial(known[true].model, seed, TOUCHES, FOAMS[opened.foam]),
-            estimator_of(known, method, seed),
-            true,
-        )
-        for seed in seeds
-    ]
+    own = replace(case, method=method, touched=case.known[true])
+    return [play(own, seed) for seed in seeds]

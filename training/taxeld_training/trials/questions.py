@@ -12,8 +12,9 @@ from typing import Any, TypeAlias
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import layout_name
 from taxeld_hil.objects import meshes
-from taxeld_training.filters.methods import TABLED, Method
-from taxeld_training.trials.play import Case, Conditions, Subject
+from taxeld_hil.trials.case import TABLED, Case, Method
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.subjects import Subject
 
 Labels: TypeAlias = Mapping[str, str | tuple[str, ...]]  # by kind; of several values each counts
 

@@ -19,8 +19,9 @@ import torch
 
 from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
+from taxeld_hil.trials.case import Case
+from taxeld_hil.trials.play import Touch, play
 from taxeld_training.trials import limit, questions, samplers, score, tables
-from taxeld_training.trials.play import Case, Touch, play
 from taxeld_training.trials.questions import Asked, Cell, Question
 from taxeld_training.trials.score import Played
 
@@ -38,6 +39,7 @@ DECIDES = (  # code and bundles that decide the results of jobs
     "taxeld_hil/scenario/mesh_config.py",
     "taxeld_hil/objects/*.py",
     "taxeld_hil/world/*.py",
+    "taxeld_hil/trials/*.py",
     "taxeld_training/models/*.py",
     "taxeld_training/limits/*.py",
     "taxeld_training/trials/limit.py",

@@ -14,11 +14,12 @@ from taxeld.proposals.analytic import ANALYTIC
 from taxeld.proposals.sampler import Sampler
 from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
+from taxeld_hil.trials.case import Case
+from taxeld_hil.world.subjects import Subject, model_of
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.variants import Variant
-from taxeld_training.trials.play import Case, Subject, model_of
 from taxeld_training.trials.questions import Question
 from taxeld_training.trials.statistics import of_mean, rounded
 

@@ -16,7 +16,7 @@ from scipy import stats
 
 from taxeld.arrays import Bools, Floats, Index
 from taxeld_hil.integrity import Claims, is_sure
-from taxeld_training.trials.play import Touch
+from taxeld_hil.trials.play import Touch
 from taxeld_training.trials.questions import Cell, Labels
 from taxeld_training.trials.statistics import by_seeds, of_share, rounded
 

@@ -1,4 +1,4 @@
-"""Guides of trials: who says where the next touch is made. All but `any` know the belief alone."""
+"""Guides of trials that go by the belief: advice, or any straight line of those it chooses from."""
 
 import time
 
@@ -9,39 +9,37 @@ from taxeld.advice.advice import Advisor, Approach
 from taxeld.advice.lines import PAST_M, Lines, Reach
 from taxeld.arrays import Floats
 from taxeld.estimator.estimator import Estimator
-
-ANY = "any"  # presses that know where the object is, from a random side
-RANDOM = "random"  # any line of those that advice chooses from
-ADVICE = "advice"
-GUIDES = (ANY, RANDOM, ADVICE)
+from taxeld_hil.world.world import World
 
 
-class Guide:
+class BeliefGuide:
     """Guides the touches of one trial by an estimator's belief."""
 
     def __init__(self, name: str, estimator: Estimator, seed: int) -> None:
-        """`name`: of `GUIDES`."""
-        self._name, self._estimator = name, estimator
+        """`name`: straight or advised."""
+        self._is_advised, self._estimator = name == "advised", estimator
         self._advisor = Advisor(estimator)
         self._rng = np.random.default_rng((seed, 9))
-        self.costs_ms: list[float] = []  # processor time of each advice
 
-    def __call__(self, touch: int) -> Approach | None:
-        """The first touch is the same under all guides: it finds the object."""
-        if touch == 0 or self._name == ANY:
-            return None
-        return self._line() if self._name == RANDOM else self._advised()
+    def lead(self, world: World, t: float) -> float:
+        """Have the robot make another touch from scenario time t on; → the processor time of the
+        advice [ms]. The first touch is the same under all guides: it finds the object."""
+        if not world.touches:
+            world.touch(None, t)
+            return 0.0
+        began_s = time.process_time()
+        approach = self._advised() if self._is_advised else self._line()
+        spent_ms = 1e3 * (time.process_time() - began_s)
+        world.touch(approach, t)
+        return spent_ms if self._is_advised else 0.0
 
     def _advised(self) -> Approach | None:
-        began_s = time.process_time()
         advice = self._advisor.advise()
-        self.costs_ms.append(1e3 * (time.process_time() - began_s))
         return advice.approaches[0] if advice.approaches else None
 
     def _line(self) -> Approach | None:
         found = hypotheses.drawn(self._estimator, self._rng)
-        fan = self._advisor.fan(found, 0)
-        free, ways = self._advisor.free(fan, found)
+        free, ways = self._advisor.free(self._advisor.fan(found, 0), found)
         if not len(free):
             return None
         at = int(self._rng.integers(len(free)))

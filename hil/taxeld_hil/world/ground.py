@@ -1,4 +1,4 @@
-"""An object that is touched while it stands, and then pushed along: a quasi-static world.
+"""What an object rests on, and how it gives way to a push: a quasi-static world.
 
 The object's load rests on points of its base, each with friction of its own, and the skin holds the
 object by Coulomb friction as well. It gives way when the skin presses deeper than its friction
@@ -7,7 +7,6 @@ maximum dissipation, Goyal et al. 1991), which is what an ellipsoid as limit sur
 Points, loads and friction differ from trial to trial, and no filter knows them.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -19,20 +18,11 @@ from taxeld.model.observation import ObservationModel
 from taxeld.model.push import Push
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
-from taxeld_training.filters.conditions import TrialConditions, TrialSkin
-from taxeld_training.filters.trials import SCAN_S, Trial, TrialScan
 
-TOUCHES = 6  # touches before the push
-PATH_M = 0.25  # way of the sensor while it touches the object
-STEP_M = 0.002  # way of the sensor between two scans
 DEPTH_M = 0.003  # depth of the skin at which the object's friction gives way
-OFF_CENTRE = 0.3  # largest distance of the push from the centre, as a share of the mean radius
-STANDOFF_M = 0.06
-BETWEEN_S = 1.0  # time between the last touch and the push
 SETTLING = 4  # steps of projection that end the overlap
 TOLD_SPREAD = 0.2  # sd of a push by a known ground, as a share of its length
 CLOSE_M = 1e-9  # a smaller depth is no overlap
-
 POINTS = 16
 LOAD_SHAPE = 1.5  # shape of the gamma distribution of a point's load
 FRICTION = 0.2, 0.6  # friction of the skin on the object, least and most
@@ -107,46 +97,6 @@ class Ground:
             found = np.linalg.solve(system, right)[:, :, 0]
             speed = np.hypot(found[:, :1] - found[:, 2:3] * y, found[:, 1:2] + found[:, 2:3] * x)
         return found[:, :3], found[:, 3:]
-
-
-@dataclass(frozen=True)
-class PushedTrial:
-    """`TOUCHES` presses of the object, then a push along a straight line."""
-
-    model: ObservationModel
-    seed: int
-
-    @property
-    def ground(self) -> Ground:
-        """The ground of this trial."""
-        return Ground.drawn(self.model.scene, np.random.default_rng((self.seed, 3)))
-
-    def __iter__(self) -> Iterator[TrialScan]:
-        model, rng = self.model, np.random.default_rng((self.seed, 2))
-        for scan in Trial(model, self.seed, TOUCHES):
-            yield scan
-        truth, t = scan.truth, scan.activation.t + BETWEEN_S
-        given = TrialConditions()
-        skin = TrialSkin(given, model.layout, given.gains(len(model.layout), rng), rng)
-        radius_m = model.scene.mean_radius
-        ground = self.ground
-        heading, yaw = rng.uniform(-np.pi, np.pi, 2)
-        ahead = np.array([np.cos(heading), np.sin(heading)])
-        aside = np.array([-ahead[1], ahead[0]]) * rng.uniform(-OFF_CENTRE, OFF_CENTRE) * radius_m
-        centre = se2.compose(truth, np.array([*model.scene.centre, 0.0]))[:2]
-        at = centre + aside - (model.scene.size + model.layout.radius_m + STANDOFF_M) * ahead
-        path_m, way_m = 0.0, 0.0
-        while path_m < PATH_M and way_m < 2.0 * PATH_M + 4.0 * model.scene.size:
-            before = np.array([*at, yaw])
-            at = at + STEP_M * ahead
-            way_m += STEP_M
-            sensor = np.array([*at, yaw])
-            truth = gave_way(model, ground, truth[None], before, sensor)[0][0]
-            h = model.activation(se2.compose(se2.inverse(sensor), truth)[None])[0]
-            path_m += STEP_M if h.any() else 0.0
-            activation = skin.read(h, t, 0.0, rng)
-            yield TrialScan(TOUCHES, activation, sensor, truth)
-            t += SCAN_S
 
 
 def gave_way(

@@ -1,0 +1,244 @@
+"""A trial: the world's scans and poses straight into a pipeline, and its estimate after each touch.
+
+A touch is noted `SEEN_S` after it ends, by when the filter has learned from it.
+"""
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.estimator.mixture import Mixture
+from taxeld.model import se2
+from taxeld.model.scene import Scene
+from taxeld.model.symmetry import add_m
+from taxeld.pipeline.freshness import Why
+from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.proposals.samples import Samples
+from taxeld_hil.trials.calibrated import calibration_of
+from taxeld_hil.trials.case import Case
+from taxeld_hil.trials.guides import BeliefGuide
+from taxeld_hil.world.ground import by_ground
+from taxeld_hil.world.plan import PLANNED, PUSH_M
+from taxeld_hil.world.subjects import model_of, solid_of
+from taxeld_hil.world.world import World
+from taxeld_protocol.array import Group
+from taxeld_protocol.decoder import Scan
+from taxeld_protocol.modules import NAMES, Module, wired
+
+TICK_S = 0.01  # between two poses
+SCAN_S = 0.05
+POSE_AGE_S = 0.004  # age of a pose as it comes: scans fall between poses
+SEEN_S = 0.4
+
+
+class Touch(NamedTuple):
+    """An estimate after a touch."""
+
+    object: int  # number of the known object that it is of
+    error_mm: float  # symmetric ADD, to the nearer of two of a kind; nan: another object is touched
+    p: float  # 0 where the estimate is not valid: it claims nothing
+    radius_mm: float
+    objects: tuple[float, ...]  # probabilities of the known objects
+    other: float  # probability of none of them
+    moved: float  # probability that the object has moved
+    status: str
+    particles: int
+    ms: float  # processor time of the filter for all scans of the touch
+    idle_ms: float  # and for a second of scans that tell nothing
+    guide_ms: float  # processor time of the advice before the touch
+    path_mm: float = math.nan  # median error over a push
+
+
+class Moment(NamedTuple):
+    """A scan of a trial."""
+
+    touch: int
+    outcome: Outcome
+    truth: Poses  # (3,) of the object in the world
+
+
+class Direct:
+    """Drives a world and a pipeline together, scan by scan."""
+
+    def __init__(self, world: World, pipeline: Pipeline, first: int = 0) -> None:
+        """`first`: ticks until the first scan."""
+        self.world, self.pipeline = world, pipeline
+        self._modules = [_wired(link.layout.uid.tolist()) for link in world.links]
+        self._posed, self._next = 0, first  # ticks of the next pose and the next scan
+
+    @property
+    def t(self) -> float:
+        """Scenario time of the next scan."""
+        return self._next * TICK_S
+
+    def outcomes(self, until_s: float) -> Iterator[Outcome]:
+        """Of all scans before a scenario time."""
+        world = self.world
+        while (t := self.t) < until_s:
+            sent = np.arange(self._posed, self._next + 1, dtype=np.float64) * TICK_S - POSE_AGE_S
+            self._posed, self._next = self._next + 1, self._next + round(SCAN_S / TICK_S)
+            came = []
+            for link, stage in enumerate(self.pipeline.stages):
+                rows = np.column_stack([sent, world.stated(sent, link)])
+                for at, x, y, yaw in rows.tolist():
+                    stage.poses.add(at, x, y, yaw)
+                counts = tuple(world.step(t, link).counts)
+                came.append(Scan(t, 1, counts, self._modules[link], 1, link=link))
+            yield from self.pipeline.advance(came, t)
+
+
+def _wired(uids: list[int]) -> tuple[Module, ...]:
+    """The modules of taxels, or the groups of an array whose names no module has."""
+    is_module = all(0 < uid & 0xF < NAMES for uid in uids)
+    return tuple(wired(uids, Module if is_module else Group))
+
+
+def world_of(case: Case, seed: int) -> World:
+    """The world of a trial.
+
+    Raises:
+        SetupError: the object or a layout cannot be found, read or used.
+    """
+    subject, given = case.subject, case.conditions
+    links = model_of(subject, *case.specs).links
+    modules = [_wired(link.layout.uid.tolist()) for link in links]
+    solid = None if given.is_exact else solid_of(subject, *case.specs)
+    world = World(links, modules, given, seed, solid)
+    world.plan(case.guide, case.touches)
+    return world
+
+
+def play(case: Case, seed: int) -> list[Touch]:
+    """The estimate after each touch of the trial of a seed.
+
+    Raises:
+        SetupError: an object, a layout or a sampler cannot be found, read or used.
+    """
+    world, config = world_of(case, seed), case.config(seed)
+    models = [model_of(each, *case.specs) for each in case.known]
+    samples = Samples(case.proposals(), time.process_time_ns)
+    layouts = [link.layout for link in models[0].links]
+    calibrations = [
+        calibration_of(world, case.conditions, k) if case.conditions.calibrated else None
+        for k in range(len(layouts))
+    ]
+    pipeline = Pipeline(config, layouts, models, samples, calibration=calibrations)
+    rule = pipeline.estimator.rule
+    if case.motion == "told" and isinstance(rule, Mixture):
+        rule.push = by_ground(world.ground)
+    direct = Direct(world, pipeline)
+    guide = None if case.guide in PLANNED else BeliefGuide(case.guide, pipeline.estimator, seed)
+    found, true = [], _number(case)
+    for touch in range(case.touches):
+        guide_ms = 0.0
+        if guide is not None:
+            guide_ms = guide.lead(world, direct.t)
+        note_s = world.touched_s()[touch, 1] + SEEN_S
+        if guide is not None:  # at rest, before it is told where to go on
+            note_s = max(note_s, world.duration_s + SCAN_S)
+        cost = _Cost(pipeline)
+        for outcome in direct.outcomes(note_s):
+            cost.add(outcome)
+        found.append(_noted(pipeline, world, note_s, true, cost, guide_ms))
+    return [*found, _pushed(direct, true)] if case.guide == "push" else found
+
+
+def _pushed(direct: Direct, true: int) -> Touch:
+    """The estimate at the end of a push, and the median error meanwhile."""
+    world, pipeline = direct.world, direct.pipeline
+    world.push()
+    cost, errors = _Cost(pipeline), list[float]()
+    scene = pipeline.estimator.known[true].model.scene
+    for outcome in direct.outcomes(world.duration_s):
+        cost.add(outcome)
+        if world.pushed_m and pipeline.is_touched:
+            errors.append(_error_mm(world, scene, pipeline.estimate.map, direct.t))
+        if world.pushed_m >= PUSH_M:
+            break
+    last = _noted(pipeline, world, direct.t, true, cost, 0.0)
+    return last._replace(path_mm=round(float(np.median(errors or math.nan)), 4))
+
+
+def moments(case: Case, seed: int) -> Iterator[Moment]:
+    """The scans of the trial of a seed, as a pipeline without an object makes activations of them;
+    for filters of another kind. Its guide must be one that needs no filter.
+
+    Raises:
+        SetupError: the object or a layout cannot be found, read or used.
+    """
+    world = world_of(case, seed)
+    layouts = [link.layout for link in world.links]
+    direct = Direct(world, Pipeline(case.config(seed), layouts, [], Samples()))
+    for touch, note_s in enumerate(world.touched_s()[:, 1] + SEEN_S):
+        for outcome in direct.outcomes(note_s):
+            yield Moment(touch, outcome, world.truth_at(direct.t - SCAN_S))
+
+
+def _number(case: Case) -> int:
+    """The number of the touched object among the known; -1: it is none of them."""
+    known = [replace(each, sampler="") for each in case.known]
+    touched = replace(case.subject, sampler="")
+    return known.index(touched) if touched in known else -1
+
+
+class _Cost:
+    """Processor time of a touch."""
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._estimator = pipeline.estimator
+        self._thoughts = self._estimator.counters.thoughts
+        self._all_ns, self._idle_ns = 0, list[int]()
+
+    def add(self, outcome: Outcome) -> None:
+        spent_ns, estimator = outcome.filter_ns + outcome.propose_ns, self._estimator
+        self._all_ns += spent_ns
+        is_idle = outcome.is_used and estimator.used is None
+        if is_idle and estimator.counters.thoughts == self._thoughts:
+            self._idle_ns.append(spent_ns)
+        self._thoughts = estimator.counters.thoughts
+
+    @property
+    def ms(self) -> float:
+        return 1e-6 * self._all_ns
+
+    @property
+    def idle_ms(self) -> float:
+        """Of a second of scans that tell nothing."""
+        return 1e-6 * float(np.mean(self._idle_ns)) / SCAN_S if self._idle_ns else math.nan
+
+
+def _noted(
+    pipeline: Pipeline, world: World, t: float, true: int, cost: _Cost, guide_ms: float
+) -> Touch:
+    now = pipeline.estimate
+    is_valid = pipeline.freshness.why(now) is Why.VALID
+    error_mm = math.nan
+    if now.object == true:
+        error_mm = _error_mm(world, pipeline.estimator.known[true].model.scene, now.map, t)
+    return Touch(
+        object=now.object,
+        error_mm=round(error_mm, 4),
+        p=round(now.p, 6) if is_valid else 0.0,
+        radius_mm=round(1e3 * now.radius_m, 4),
+        objects=tuple(float(f"{share:.6g}") for share in now.objects),
+        other=round(now.hypotheses.other, 6),
+        moved=round(now.hypotheses.moved, 6),
+        status=now.status.name.lower(),
+        particles=now.particles,
+        ms=round(cost.ms, 4),
+        idle_ms=round(cost.idle_ms, 4),
+        guide_ms=round(guide_ms, 4),
+    )
+
+
+def _error_mm(world: World, scene: Scene, pose: Poses, t: float) -> float:
+    """Symmetric ADD [mm] of an estimate (3,) at scenario time t. Where two objects of one kind are
+    touched the nearer counts, as no reading tells which of them is meant."""
+    truth = world.truth_at(t)
+    truths = [truth] if world.twin is None else [truth, se2.compose(truth, world.twin)]
+    return 1e3 * min(add_m(scene, pose, each)[1] for each in truths)
