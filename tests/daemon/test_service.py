@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
-import numpy as np
 import pytest
 
-from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
 from taxeld.service.loop import Daemon
 from taxeld.source.recorder import Recorder
@@ -53,22 +51,6 @@ def tick(daemon: Daemon, hub: Hub, holds: Callable[[], bool]) -> None:
         daemon.tick(time.monotonic())
 
     until(holds, tick_once)
-
-
-@pytest.mark.check
-def test_a_restarted_daemon_feels_what_is_held_from_the_first_scan(
-    tmp_path: Path, hub: Hub
-) -> None:
-    first = daemon_of(tmp_path)
-    tick(first, hub, lambda: first.pipeline.estimate.status is Status.SEARCHING)
-    first.close()
-    hub.skin.press[[33, 34]] = 8_000.0
-    again = daemon_of(tmp_path)
-    tick(again, hub, lambda: again.pipeline.skin.live is not None)
-    skin = again.pipeline.skin
-    assert skin.touched
-    assert np.abs(skin.baseline - hub.skin.base).max() < 100.0
-    again.close()
 
 
 @pytest.mark.check

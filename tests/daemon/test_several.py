@@ -1,7 +1,6 @@
 """Several objects may be felt: messages name each, and a session of them is replayed."""
 
 import logging
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +9,6 @@ import pytest
 
 from taxeld.commands.replay import Replay
 from taxeld.commands.status import estimate_rows
-from taxeld.config.file import load
 from taxeld.config.tables import FilterConfig, SceneConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.bank import Known
@@ -20,11 +18,10 @@ from taxeld.pipeline.freshness import Why
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.sampler import Sampler
-from taxeld.service.loop import Daemon
 from taxeld.service.notices import Notices
 from taxeld.stream import messages
 from tests.rig.configurations import configuration
-from tests.rig.recorded import LiveSkin, write_session
+from tests.rig.recorded import write_session
 from tests.rig.skins import SKIN
 
 THREE = ("box", "mug", "drill")
@@ -89,14 +86,3 @@ def test_a_session_of_several_objects_is_replayed(tmp_path: Path) -> None:
     path.write_text(path.read_text(encoding="utf-8").replace("mug", "party"), encoding="utf-8")
     with pytest.raises(SetupError, match=r"scene\.bundles: no bundle 'party'.*a session does not"):
         Replay(tmp_path)
-
-
-@pytest.mark.check
-def test_a_daemon_publishes_several_objects(tmp_path: Path) -> None:
-    with LiveSkin(tmp_path) as skin:
-        path = configuration(tmp_path, source=skin.source, scene={"bundles": THREE})
-        with closing(Daemon(load(path))) as daemon:
-            daemon.run(lambda: daemon.stop() if daemon.pipeline.estimate.contacts else None)
-            estimate = daemon.publisher.state()["estimate"]
-    assert list(estimate["objects"]) == [*NAMES, "other"]
-    assert sum(estimate["objects"].values()) == pytest.approx(1.0)

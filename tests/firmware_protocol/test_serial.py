@@ -74,6 +74,8 @@ READERS = {
 
 @pytest.mark.parametrize("kind", READERS)
 @example([b"x" * (slcan.MAX_LINE + 1)], [])
+@example([b"x" * 300], [300])  # the end of a line that is too long comes as a piece
+@example([b"T17FFFFFF8" + b"A5" * 8 + b"000000000\r"], [])  # one digit more than the longest
 @given(st.lists(st.binary(max_size=400), max_size=6), st.lists(st.integers(0, 10**6)))
 def test_the_pieces_a_line_comes_in_do_not_matter(
     kind: Any, noise: list[bytes], cuts: list[int]
