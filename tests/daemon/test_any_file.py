@@ -6,7 +6,6 @@ import json
 import logging
 import random
 import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -41,7 +40,6 @@ from .test_layout_files import document
 ROOT = Path(__file__).parents[2]
 RECORDED = ROOT / "tests" / "daemon" / "session"
 SHIPPED = bundle.find("box")
-NOWHERE = Path("bundle")
 MOST = 1100  # characters of a line
 PROPOSALS = ("auto", "density", "ddpm", "table", "manifold", "projection")
 TOKENS = [  # what breaks readers
@@ -49,26 +47,15 @@ TOKENS = [  # what breaks readers
     *(b"[" * 2000, b"{" * 2000, b'{"a":' * 500, b"[[]]", b"\0", b"\n", b"\r", b"\xff\xfe", b'"'),
     *(b"\x1b[31m", b"#", b",", b"=", b"LOBJ", b"\x1f\x8b\x08", b" " * 5000, b"x" * 70_000),
 ]
-Use = Callable[[bytes], object]
 
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """What reads a file, and whole files of its kind."""
+    """What reads a file by its path, and whole files of its kind."""
 
-    use: Use  # raises SetupError; may put a line into the log
-    samples: Callable[[], list[bytes]]
+    use: Callable[[Path], object]  # raises SetupError; may put a line into the log
+    samples: Callable[[Path], list[bytes]]  # which may be made in a directory
     examples: int = 60  # changed files of the tests
-
-
-@cache
-def _kept() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="readers-")
-
-
-def place() -> Path:
-    """Where files are put that have to have a path."""
-    return Path(_kept().name)
 
 
 @cache
@@ -109,9 +96,9 @@ def scene_used(scene: Scene) -> None:
     assert np.isfinite([scene.size, scene.mean_radius]).all()
 
 
-def manifest_used(content: bytes) -> None:
+def manifest_used(path: Path) -> None:
     """All that is asked of bundle.json after it was read."""
-    made = manifest.parse(content, NOWHERE)
+    made = manifest.parse(path.read_bytes(), path.parent)
     found = replace(loaded(), manifest=made)
     for name in (*PROPOSALS, *found.order):
         used_or_refused(lambda name=name: found.resolve(name))  # type: ignore[misc]
@@ -120,90 +107,73 @@ def manifest_used(content: bytes) -> None:
     messages.info(found.model.layout, bundle.scenes([found]), str(FilterConfig()))
 
 
-def _in_file(name: str, read: Callable[[Path], object]) -> Use:
-    """For what is read by its path."""
-
-    def use(content: bytes) -> None:
-        (place() / name).write_bytes(content)
-        read(place() / name)
-
-    return use
+def layout_used(path: Path) -> None:
+    skin = layouts.read(str(path))
+    assert len(skin) == len(set(skin.uid.tolist())) > 0
+    assert np.isfinite(skin.position_m).all()
+    assert np.isfinite(skin.frame).all()
 
 
-def _in_session(name: str) -> Use:
+def session_used(path: Path) -> None:
     """A recorded session of which one file is another."""
-
-    def use(content: bytes) -> None:
-        directory = place() / f"session of {name}"
-        shutil.copytree(RECORDED, directory, dirs_exist_ok=True)
-        if name == session.FRAMES:
-            (directory / session.SERIAL).unlink()
-        (directory / name).write_bytes(content)
-        read(directory)
-
-    return use
+    if not (path.parent / session.CONFIG).exists():
+        left_out = {path.name, *[session.SERIAL] * (path.name == session.FRAMES)}
+        for file in RECORDED.iterdir():
+            if file.name not in left_out:
+                shutil.copy(file, path.parent)
+    read(path.parent)
 
 
-def _layout(name: str) -> Use:
-    def checked(path: Path) -> None:
-        skin = layouts.read(str(path))
-        assert len(skin) == len(set(skin.uid.tolist())) > 0
-        assert np.isfinite(skin.position_m).all()
-        assert np.isfinite(skin.frame).all()
-
-    return _in_file(name, checked)
-
-
-def _certificate(path: Path) -> None:
+def key_used(path: Path) -> None:
     path.chmod(0o600)
     curve.secret_key(path)
 
 
-def _frames() -> list[bytes]:
-    candump_log()(bus(3), place() / "made")
-    return [(place() / "made").read_bytes()]
+def frames_made(place: Path) -> list[bytes]:
+    candump_log()(bus(3), place / "made")
+    return [(place / "made").read_bytes()]
 
 
-def _keys() -> list[bytes]:
-    create_certificates(place(), "made")
-    return [(place() / "made.key_secret").read_bytes()]
+def keys_made(place: Path) -> list[bytes]:
+    create_certificates(place, "made")
+    return [(place / "made.key_secret").read_bytes()]
 
 
-READERS = {
-    "a.log": Reader(_in_file("a.log", lambda path: list(decode(path))), _frames),
-    "configuration": Reader(
-        _in_file("any.toml", load), lambda: [(ROOT / "examples" / "can0.toml").read_bytes()]
+def there(path: Path) -> Callable[[Path], list[bytes]]:
+    return lambda _: [path.read_bytes()]
+
+
+TABLE = table_of(layouts.load(SkinConfig().layout), uid=True).encode()
+READERS = {  # by the name of the file
+    "a.log": Reader(lambda path: list(decode(path)), frames_made),
+    "any.toml": Reader(load, there(ROOT / "examples" / "can0.toml")),
+    "scenario.toml": Reader(
+        lambda path: scenario.load(str(path)),
+        lambda _: [path.read_bytes() for path in scenario.shipped().values()],
     ),
-    "scenario": Reader(
-        _in_file("scenario.toml", lambda path: scenario.load(str(path))),
-        lambda: [path.read_bytes() for path in scenario.shipped().values()],
-    ),
-    "bundle.json": Reader(manifest_used, lambda: [(SHIPPED / "bundle.json").read_bytes()]),
+    "bundle.json": Reader(manifest_used, there(SHIPPED / "bundle.json")),
     "scene.npz": Reader(
-        lambda content: scene_used(manifest.parse_scene(content, NOWHERE)),
-        lambda: [(SHIPPED / "scene.npz").read_bytes()],
+        lambda path: scene_used(manifest.parse_scene(path.read_bytes(), path.parent)),
+        there(SHIPPED / "scene.npz"),
         30,
     ),
     "sampler.onnx": Reader(
-        lambda content: Sampler(content, loaded().model.layout, "density", NOWHERE),
-        lambda: [(SHIPPED / "density-16.onnx").read_bytes()],
+        lambda path: Sampler(path.read_bytes(), loaded().model.layout, "density", path.parent),
+        there(SHIPPED / "density-16.onnx"),
         30,
     ),
-    "layout.csv": Reader(
-        _layout("skin.csv"),
-        lambda: [table_of(layouts.load(SkinConfig().layout), uid=True).encode()],
-    ),
-    "layout.json": Reader(_layout("skin.json"), lambda: [json.dumps(document(16)).encode()]),
-    session.FRAMES: Reader(_in_session(session.FRAMES), _frames),
+    "skin.csv": Reader(layout_used, lambda _: [TABLE]),
+    "skin.json": Reader(layout_used, lambda _: [json.dumps(document(16)).encode()]),
+    session.FRAMES: Reader(session_used, frames_made),
     **{
-        name: Reader(_in_session(name), lambda name=name: [(RECORDED / name).read_bytes()])  # type: ignore[misc]
+        name: Reader(session_used, there(RECORDED / name))
         for name in (session.SERIAL, session.SERIAL_TIMES, session.POSES)
     },
     session.ABOUT: Reader(
-        _in_session(session.ABOUT),
-        lambda: [b"version = 1\nframes = 0\nchunks = 265\nbytes = 47173\nposes = 1017\n"],
+        session_used,
+        lambda _: [b"version = 1\nframes = 0\nchunks = 265\nbytes = 47173\nposes = 1017\n"],
     ),
-    "key": Reader(_in_file("key", _certificate), _keys),
+    "key": Reader(key_used, keys_made),
 }
 
 
@@ -233,22 +203,15 @@ def changed(whole: bytes, rng: random.Random) -> bytes:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_whole_file_is_read(name: str) -> None:
-    """Else nothing that is asked below means anything."""
-    for content in READERS[name].samples():
-        READERS[name].use(content)
-
-
-@pytest.mark.parametrize("name", READERS)
-def test_a_changed_file_is_read_or_refused_with_one_line(name: str) -> None:
-    reader, rng = READERS[name], random.Random(name)
-    samples = reader.samples()
-    for _ in range(reader.examples):
-        content = changed(rng.choice(samples), rng)
-        used_or_refused(lambda content=content: reader.use(content))  # type: ignore[misc]
-
-
-@pytest.mark.parametrize("name", READERS)
-def test_a_file_of_nothing_but_what_breaks_readers_is_read_or_refused(name: str) -> None:
-    for content in (b"", *TOKENS, b"".join(TOKENS), bytes(range(256)) * 40):
-        used_or_refused(lambda content=content: READERS[name].use(content))  # type: ignore[misc]
+def test_any_file_is_read_or_refused_with_one_line(name: str, tmp_path: Path) -> None:
+    """A whole one, changed ones, and those of nothing but what breaks readers."""
+    reader, rng, path = READERS[name], random.Random(name), tmp_path / "files" / name
+    path.parent.mkdir()
+    whole = reader.samples(tmp_path)
+    for content in whole:
+        path.write_bytes(content)
+        reader.use(path)
+    strange = [changed(rng.choice(whole), rng) for _ in range(reader.examples)]
+    for content in (*strange, b"", *TOKENS, b"".join(TOKENS), bytes(range(256)) * 40):
+        path.write_bytes(content)
+        used_or_refused(lambda: reader.use(path))

@@ -47,7 +47,6 @@ def test_decode_loses_only_what_is_damaged_and_counts_every_frame(tmp_path: Path
 
 
 FAULTS = [  # of what a run opens; those of keys alone are of the configuration's tests
-    ("source", "chanel", "x", "source.chanel: unknown key; did you mean channel?"),
     ("scene", "bundle", "sphere", "scene.bundle: no bundle 'sphere'; shipped are box, drill, mug"),
     (
         "skin",

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from taxeld.arrays import Floats
-from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.skin.patches import PATCHES_MAX, Patches
 from taxeld.stream import messages
@@ -102,12 +101,6 @@ def test_no_more_than_a_bound_are_told_and_the_rest_is_counted() -> None:
     assert len(found) == PATCHES_MAX
     assert patches.left_out == 36 - PATCHES_MAX
     assert min(one.sum for one in found) == pytest.approx((36 - PATCHES_MAX + 1) / 36)
-
-
-def test_a_single_taxel_is_a_patch() -> None:
-    skin = layouts.load("cylinder:rows=1,columns=1,radius_m=0.04,pitch_m=0.015")
-    (one,) = Patches(skin, DEPTH_M).on_scan(np.full(1, 0.3))
-    assert np.isfinite([*one.position_m, *one.normal, one.area_m2]).all()
 
 
 def test_a_patch_is_told_in_the_world_as_well() -> None:

@@ -79,16 +79,13 @@ def test_any_value_is_a_frame_or_a_reason(value: Any) -> None:
     assert again == found, "a recording holds it as it is"
 
 
-@given(st.binary() | st.text().map(str.encode))
-def test_any_bytes_are_json_or_none(body: bytes) -> None:
+BOMBS = [b"[" * 200_000, b'{"t":' * 50_000, b'{"t":' + b"9" * 100_000 + b"}", b'{"z":[1e999]}']
+
+
+@given(st.sampled_from(BOMBS) | st.binary() | st.text().map(str.encode))
+def test_any_bytes_are_an_array_or_a_reason(body: bytes) -> None:
+    assert body not in BOMBS or isinstance(array.parse(array.read_json(body)), str)
     array.parse(array.read_json(body))
-
-
-@pytest.mark.parametrize(
-    "bomb", ["[" * 200_000, '{"t":' * 50_000, '{"t":' + "9" * 100_000 + "}", '{"z":[1e999]}']
-)
-def test_a_bomb_of_json_is_no_array(bomb: str) -> None:
-    assert isinstance(array.parse(array.read_json(bomb)), str)
 
 
 def taken(decoder: ArrayDecoder, *frames: ArrayFrame) -> list[float]:

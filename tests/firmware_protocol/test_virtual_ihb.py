@@ -74,29 +74,6 @@ def test_what_it_cannot_do_is_an_error_naming_the_command(
     assert ask(hub(), command, payload) == [(Command.ERROR, bytes((command, code)))]
 
 
-def test_a_scan_of_the_wrong_size_is_a_programming_error() -> None:
-    with pytest.raises(ValueError, match="4 counts for 5 channels"):
-        list(hub().sensor_data([1, 2, 3, 4]))
-
-
-@pytest.mark.parametrize(("cut", "mask", "sent"), [(0xFF8, 0b111, 3), (0, 0xFFF, 12)])
-def test_a_cut_is_told_by_declare_and_details(cut: int, mask: int, sent: int) -> None:
-    ihb = hub()
-    request = commands.request(Command.MODULE_SET_CUT_SENSORS, module=1, cut=cut)
-    assert ask(ihb, Command.MODULE_SET_CUT_SENSORS, request) == []
-    (answer,) = ask(ihb, Command.MODULE_DETAILS, b"\x01")
-    assert commands.parse_answer(*answer) == {
-        "module": 1,
-        "sui": 2,
-        "channels": 12,
-        "grouping": 0,
-        "mask": mask,
-        "cdc_control": 0,
-        "cdc_speed": 0,
-    }
-    assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 3, sent)))]
-
-
 def test_a_reboot_forgets_what_the_host_set() -> None:
     ihb = hub()
     ask(ihb, Command.SET_AUTO_SYNC, b"\x01")
@@ -119,9 +96,3 @@ def test_the_table_round_trips(table: commands.Table) -> None:
         assert decode(command, payload) == fields
         assert decode(command, payload + b"\0") is None
         assert decode(command, payload[:-1]) is None
-
-
-@pytest.mark.parametrize("fields", [{}, {"on": 1, "off": 0}, {"on": 256}, {"on": -1}], ids=str)
-def test_fields_that_do_not_fit_are_a_programming_error(fields: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match="SET_AUTO_SYNC"):
-        commands.request(Command.SET_AUTO_SYNC, **fields)

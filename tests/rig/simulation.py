@@ -36,7 +36,6 @@ from taxeld.stream.link import Link
 from taxeld.stream.pair import Kind
 from taxeld_hil.grade.reconcile import laws
 from tests.rig.sessions import poses_of
-from tests.rig.simulated_door import SimulatedDoor
 from tests.rig.simulated_world import (
     DISK,
     DOOR,
@@ -44,6 +43,7 @@ from tests.rig.simulated_world import (
     UNIX_S,
     Drawn,
     SimulatedDevice,
+    SimulatedDoor,
     World,
     draw,
     simulated_wait,
