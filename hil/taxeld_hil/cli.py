@@ -174,6 +174,7 @@ def _of_run(made: argparse.ArgumentParser) -> None:
     add("--poses", default="", help="on hardware: the robot's endpoint")
     about = "on hardware: where the object is in the robot's world [m, m, rad]"
     add("--truth", type=float, nargs=3, metavar=("X", "Y", "THETA"), help=about)
+    add("--foam", default="", help=f"in place of the scenario's: {', '.join(FOAMS)}")
     add("--clock", choices=("real", "fake"), default="real")
     about = "the robot follows the daemon's advice, on the fake clock"
     add("--advised", action="store_true", help=about)
@@ -201,6 +202,7 @@ def _of_emulate(made: argparse.ArgumentParser) -> None:
     add = made.add_argument
     _add_scenario(made)
     add("--layout", default="", help="in place of the scenario's, as skin.layout")
+    made.set_defaults(foam="")
     where = made.add_mutually_exclusive_group(required=True).add_argument
     where("--link", type=Path, help="path that will be a link to the virtual SLCAN adapter")
     where("--can", metavar="INTERFACE", help="CAN interface of this machine, such as vcan0")
@@ -215,7 +217,6 @@ def _add_scenario(made: argparse.ArgumentParser) -> None:
     add("--seed", type=int, default=0)
     about = "in place of the scenario's object: box, drill, mug, or a path"
     add("--object", default="", metavar="BUNDLE", help=about)
-    add("--foam", default="", help=f"in place of the scenario's: {', '.join(FOAMS)}")
 
 
 if __name__ == "__main__":

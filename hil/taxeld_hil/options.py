@@ -8,6 +8,7 @@ from pathlib import Path
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import layout_name
 
+MEMORY = Path(".experiments")  # finished jobs; what was interrupted goes on from them
 OWN = "own"  # `--layout` of what a row is of without that option
 
 
@@ -44,10 +45,15 @@ def _workers(text: str) -> int | str:
     return text if "://" in text else int(text)
 
 
+def add_workers(made: argparse.ArgumentParser) -> None:
+    """Add the option of how many jobs run at a time; what they found is in MEMORY."""
+    about = "jobs at a time, one thread each, or the address of a running Dask scheduler"
+    made.add_argument("--workers", type=_workers, default=2, metavar="N|ADDRESS", help=about)
+    made.set_defaults(memory=MEMORY)
+
+
 def add_jobs(made: argparse.ArgumentParser) -> None:
     """Add the options of `jobs.run`."""
-    add = made.add_argument
-    about = "jobs at a time, one thread each, or the address of a running Dask scheduler"
-    add("--workers", type=_workers, default=2, metavar="N|ADDRESS", help=about)
+    add_workers(made)
     about = "finished jobs; what was interrupted goes on from them (default %(default)s)"
-    add("--memory", type=Path, default=Path(".experiments"), metavar="DIR", help=about)
+    made.add_argument("--memory", type=Path, default=MEMORY, metavar="DIR", help=about)

@@ -96,7 +96,7 @@ def test_few_touches_find_the_object(tmp_path: Path) -> None:
 
 
 def test_in_real_time_no_robot_is_advised(tmp_path: Path) -> None:
-    why = "advised: a robot that is advised runs on the fake clock alone: --clock fake\n"
+    why = "advised: such a robot runs on the fake clock alone: --clock fake\n"
     assert refused("run", "demo", "--advised", "--target", "can:can0", main=cli.main) == why
     scenario = tmp_path / "advised.toml"
     scenario.write_text('bundle = "box"\nadvised = true\n', encoding="utf-8")

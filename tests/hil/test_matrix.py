@@ -74,12 +74,13 @@ def test_a_run_of_other_code_another_scenario_or_another_bundle_is_not_remembere
 
 
 def test_a_measurement_goes_on_from_what_it_remembers_and_names_the_checks_that_failed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     short = tmp_path / "short.toml"
     short.write_text(SHORT, encoding="utf-8")
     command = ["matrix", str(short), "--foam", "stiff", "--object", "box", "--workers", "1"]
-    command += ["--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
+    command += ["--out", str(tmp_path)]
     assert cli.main([*command, "--seeds", "1"]) < 2
     assert "box, stiff, seed 0: " in capsys.readouterr().err
     assert cli.main([*command, "--seeds", "2"]) < 2

@@ -4,7 +4,6 @@ import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from matplotlib.image import imread
 from taxeld.commands.replay import open_pipeline
 from taxeld.config import file as config_file
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import Estimate, Status
+from taxeld.estimator.estimate import Status
 from taxeld_hil import cli
 from taxeld_hil.run import picture
 from taxeld_hil.run.picture import DrawnScan, four
@@ -30,50 +29,51 @@ def last_of(moments: list[DrawnScan]) -> dict[str, DrawnScan]:
     return dict(zip("abcd", moments[-4:], strict=True))
 
 
-@pytest.fixture
-def figure(monkeypatch: pytest.MonkeyPatch) -> Figure:
-    """As it was written."""
-    kept: list[Figure] = []
-    monkeypatch.setattr(picture, "save", lambda figure, _: kept.append(figure))
+def test_moments_are_drawn_in_millimetres_with_a_colour_bar_and_a_legend(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept, out, save = list[Figure](), tmp_path / "x.png", picture.save
+    monkeypatch.setattr(
+        picture, "save", lambda figure, out: (kept.append(figure), save(figure, out))
+    )
     monkeypatch.setattr(picture, "four", last_of)
-    picture.draw(SESSION, Path("unused.png"))
-    return kept[0]
-
-
-def test_moments_are_drawn_in_millimetres_with_a_colour_bar_and_a_legend(figure: Figure) -> None:
+    picture.draw(SESSION, out)
+    assert out.stat().st_size < 300_000, "small enough for a page"
+    assert imread(out).shape[1] > 800
+    (figure,) = kept
     *panels, bar = figure.axes
     above = panels[:4]
     assert {axis.get_xlabel() for axis in above} == {"x [mm]"}
     assert [axis.get_ylabel() for axis in above] == ["y [mm]", "", "", ""]
     assert all(10.0 < np.ptp(axis.get_xlim()) < 2000.0 for axis in above), "not metres"
     assert bar.get_ylabel() == "activation of a taxel [full scale]"
-    (legend,) = figure.legends
-    named = [text.get_text() for text in legend.get_texts()]
+    named = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "object, estimated" in named
     assert "object, true" not in named, "nobody knows it of this session"
 
 
-def moment(base: Estimate, status: Status, contacts: int, contact: bool, z: float) -> DrawnScan:
-    estimate = replace(base, status=status, contacts=contacts, contact=contact)
-    return DrawnScan(estimate, np.array([z]), np.zeros(3), np.zeros((0, 3)))
-
-
 def test_the_four_moments_are_no_touch_the_first_the_last_doubt_and_the_object_found() -> None:
     base = open_pipeline(SESSION, config_file.load(SESSION / "config.toml")).estimate
-    told: list[tuple[Any, ...]] = [
-        (Status.SEARCHING, 0, False, 0.0),
-        (Status.SEARCHING, 0, False, 0.1),  # the last before the touch
-        (Status.AMBIGUOUS, 1, True, 0.2),
-        (Status.AMBIGUOUS, 1, True, 0.9),  # the deepest of the first touch
-        (Status.AMBIGUOUS, 1, False, 0.0),
-        (Status.AMBIGUOUS, 2, True, 0.3),  # the next touch begins
-        (Status.AMBIGUOUS, 2, True, 0.4),
-        (Status.CONVERGED, 2, False, 0.0),
-        (Status.CONVERGED, 3, True, 0.5),  # found, and touched
+    moments = [
+        DrawnScan(
+            replace(base, status=status, contacts=contacts, contact=contact),
+            np.array([z]),
+            np.zeros(3),
+            np.zeros((0, 3)),
+        )
+        for status, contacts, contact, z in (
+            (Status.SEARCHING, 0, False, 0.0),
+            (Status.SEARCHING, 0, False, 0.1),  # the last before the touch
+            (Status.AMBIGUOUS, 1, True, 0.2),
+            (Status.AMBIGUOUS, 1, True, 0.9),  # the deepest of the first touch
+            (Status.AMBIGUOUS, 1, False, 0.0),
+            (Status.AMBIGUOUS, 2, True, 0.3),  # the next touch begins
+            (Status.AMBIGUOUS, 2, True, 0.4),
+            (Status.CONVERGED, 2, False, 0.0),
+            (Status.CONVERGED, 3, True, 0.5),  # found, and touched
+        )
     ]
-    moments = [moment(base, *one) for one in told]
-    found = four(moments)
-    assert [one.z[0] for one in found.values()] == [0.1, 0.9, 0.3, 0.5]
+    assert [one.z[0] for one in four(moments).values()] == [0.1, 0.9, 0.3, 0.5]
     assert four(moments[:7]) == {}, "not found"
 
 
@@ -88,17 +88,6 @@ def test_a_session_whose_object_is_not_found_is_one_line_with_or_without_a_truth
         with pytest.raises(SetupError, match="is not found by touch"):
             picture.draw(session, tmp_path / "x.png")
     assert not (tmp_path / "x.png").exists()
-
-
-@pytest.mark.check
-def test_the_moments_are_written_small_enough_for_a_page(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(picture, "four", last_of)
-    out = tmp_path / "x.png"
-    picture.draw(SESSION, out)
-    assert out.stat().st_size < 300_000
-    assert imread(out).shape[1] > 800
 
 
 @pytest.mark.check

@@ -12,7 +12,6 @@ from .accept_skin import LAYOUT
 ACCEPT = f"--layout {LAYOUT} --out {{place}}/out"
 NO_FOAM = "no foam 'marble'; there are scene, typical, poor, stiff; a layout is given by --layout\n"
 NO_BUNDLE = "scene.bundle: no bundle 'party'"
-NO_MEMORY = "--memory: {place}/file/m: "
 NO_ENDPOINT = "; use ipc:///path or tcp://"
 EMULATE = "emulate demo --link {place}/skin --out {place}/out --poses"
 
@@ -29,9 +28,8 @@ WRONG = [  # a command line, and words of its line
     ("run demo --target can:can0 --png x.png", "--png: a run on hardware records no session"),
     ("matrix demo --foam marble --out {place}/out", NO_FOAM),
     ("matrix demo --seeds 0 --out {place}/out", "--seeds must be at least 1"),
-    ("matrix demo --memory {place}/file/m --out {place}/out", NO_MEMORY),
+    ("soak --memory m", "soak --memory: is gone; finished runs are kept in .experiments, "),
     ("matrix demo --workers 0 --out {place}/out", "--workers must be at least 1"),
-    ("matrix demo", "--out: is required"),
     ("calibration --seeds 1", "taxeld-hil calibration: is gone; taxeld calibrate SESSION --check"),
     (f"{EMULATE} foo", "--poses: 'foo' "),
     (f"{EMULATE} tcp://", NO_ENDPOINT),

@@ -76,10 +76,9 @@ def test_an_object_outside_its_square_is_never_valid_and_the_keys_are_named() ->
 def test_no_estimate_is_valid_before_a_touch_has_told_something(tmp_path: Path) -> None:
     """The first scans of a touch are felt before the belief has learned from them."""
     FakeRun(replace(scenario.load("demo"), contacts=1), 0).graded("demo", tmp_path)
-    got = read(tmp_path, 1)
-    before = got.why[(got.status == Status.SEARCHING) & (got.contacts > 0)]
-    assert set(before) == {Why.VAGUE}
-    assert Why.VALID in got.why
+    e = read(tmp_path, 1).estimates
+    assert set(e.why[(e.status == Status.SEARCHING) & (e.contacts > 0)]) == {Why.VAGUE}
+    assert Why.VALID in e.why
 
 
 def shipped(name: str, foam: str, transport: str = "") -> Scenario:

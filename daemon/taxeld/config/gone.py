@@ -10,6 +10,7 @@ MEASURED = "'taxeld calibrate' measures it, and skin.calibration has its figure"
 WHOLE = "'evaluate whole' compares filters, 'evaluate map' has what ships under each condition"
 NAMED = "say it with --cells, which names cells, methods, guides and motions"
 EFFORT = "--effort scales training, measuring and trials together"
+KEPT = "finished runs are kept in .experiments, where the command was given"
 SESSION = "'taxeld replay DIR' plays a session, and 'taxeld view DIR' shows it"
 
 GONE: dict[str, str] = {
@@ -21,6 +22,9 @@ GONE: dict[str, str] = {
     "taxeld-hil soak --frozen": "a soak's daemon learns, as every daemon does",
     "taxeld-hil run --transport": "the scenario's file has its transport",
     "taxeld-hil matrix --real": "'taxeld-hil run' plays a scenario in real time",
+    "taxeld-hil matrix --memory": KEPT,
+    "taxeld-hil soak --memory": KEPT,
+    "taxeld-hil emulate --foam": "set physics in the scenario's file",
     "taxeld-hil run --limit-s": "a run on hardware may take two minutes a contact",
     "taxeld-train evaluate ablation": WHOLE,
     "taxeld-train evaluate filter": WHOLE,

@@ -14,7 +14,7 @@ from taxeld_hil.jobs import Job
 from taxeld_hil.scenario.mesh_config import FOAMS
 
 OBJECTS = ("box", "mug")  # bundles
-SOFT = ("typical", "poor")  # foams
+FOAMS_OF_MATRIX = ("scene", "typical", "poor")
 
 
 def add(commands: Commands) -> None:
@@ -26,7 +26,11 @@ def add(commands: Commands) -> None:
     about = f"default: {', '.join(OBJECTS)}"
     matrix.add_argument("--object", action="append", metavar="BUNDLE", help=about)
     options.add_layouts(matrix, "what each object's bundle was built for")
-    _add_runs(matrix, seeds=5, foams=("scene", *SOFT))
+    about = f"default: {', '.join(FOAMS_OF_MATRIX)}"
+    matrix.add_argument("--foam", action="append", help=about)
+    _add_seeds(matrix, 5)
+    options.add_workers(matrix)
+    matrix.add_argument("--out", type=Path, required=True, metavar="DIR", help="for the JSON")
     _of_soak(documented(commands, _soak))
 
 
@@ -48,7 +52,9 @@ def _of_expect(made: argparse.ArgumentParser) -> None:
     add("--minutes", type=float, default=4.0, help=about)
     about = "try whether it works: 2 seeds of 3 touches"
     add("--quick", action="store_true", help=about)
-    _add_runs(made, seeds=60)
+    _add_seeds(made, 60)
+    options.add_jobs(made)
+    add("--out", type=Path, metavar="DIR", help="for the JSON")
 
 
 def _of_soak(made: argparse.ArgumentParser) -> None:
@@ -62,20 +68,13 @@ def _of_soak(made: argparse.ArgumentParser) -> None:
     long = made.add_mutually_exclusive_group().add_argument
     long("--hours", type=float, default=1.0, help="hours of scans, on the fake clock")
     long("--real-minutes", type=float, help="minutes over the transport, in real time")
-    options.add_jobs(made)
+    options.add_workers(made)
     add("--out", type=Path, default=Path("soak.json"), help="the report")
 
 
-def _add_runs(made: argparse.ArgumentParser, seeds: int, foams: tuple[str, ...] = ()) -> None:
-    """The options of a measurement; `seeds` and `foams` are those without them."""
-    if foams:
-        about = f"default: {', '.join(foams)}"
-        made.add_argument("--foam", action="append", help=about)
-        made.set_defaults(foams=foams)
+def _add_seeds(made: argparse.ArgumentParser, seeds: int) -> None:
     about = "runs of each kind (default %(default)s)"
     made.add_argument("--seeds", type=int, default=seeds, metavar="N", help=about)
-    options.add_jobs(made)
-    made.add_argument("--out", type=Path, metavar="DIR", help="for the JSON")
 
 
 def _expect(args: argparse.Namespace) -> int:
@@ -114,10 +113,8 @@ def _matrix(args: argparse.Namespace) -> int:
     from taxeld_hil.experiment import matrix, measurement
     from taxeld_hil.scenario import scenario as scenarios
 
-    if args.out is None:
-        raise SetupError("--out: is required")
     names = args.scenario or list(scenarios.shipped())
-    objects, foams = args.object or OBJECTS, args.foam or args.foams
+    objects, foams = args.object or OBJECTS, args.foam or FOAMS_OF_MATRIX
     layouts = options.layouts(args.layout)
     todo = matrix.jobs(names, objects, foams, args.seeds, layouts)
     runs = _done(todo, args, matrix.described)

@@ -55,7 +55,7 @@ def play(base: Scenario, seed: int, hours: float, real: bool) -> RunRow:
             if number := len(rows):
                 run.lap(laps.lap(base, seed, number, kinds), seed + number)
             graded = run.graded(f"lap {number}")
-            pid = run.daemon.process.pid if isinstance(run, SimulatedRun) else "self"
+            pid = run.daemon.pid if isinstance(run, SimulatedRun) else "self"
             memory = {"seconds": graded.run.end_s, "rss_mb": round(resident_mb(pid), 1)}
             rows.append(row(graded) | memory)
     gaps = (abs(law["expected"] - law["counted"]) - law["slack"] for law in graded.figures["laws"])

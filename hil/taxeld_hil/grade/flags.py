@@ -135,31 +135,31 @@ def signs(run: Run, got: Reception) -> list[FaultSigns]:
 
 
 def _signs(run: Run, got: Reception, fault: Fault, taxels: Sequence[int]) -> FaultSigns:
-    scenario, t = run.scenario, got.t
+    scenario, e, t = run.scenario, got.estimates, got.estimates.at
     flag = flag_of(fault, scenario.transport)
     # the time to recover ends at the latest when another fault begins
     window_s = scenario.expect.recovery_s + SETTLE_S
     later = [other.at_s for other in scenario.fault if other.at_s >= fault.end_s]
     close_s = min([fault.end_s + window_s, *later])
     within = (t >= fault.at_s) & (t < close_s)
-    lost = got.lost[:, fault.link] if got.lost.size else np.zeros(len(t), bool)
+    lost = got.lost(fault.link)
     listed = list(_listed(flag, fault, taxels, got, close_s))
     shown = [at for at, _ in listed]
     if flag is not None:
-        is_shown = np.isin(got.status, flag.status) | (lost & (Status.STALE in flag.status))
+        is_shown = np.isin(e.status, flag.status) | (lost & (Status.STALE in flag.status))
         shown += t[within & is_shown][:1].tolist()
         gaps = np.flatnonzero(within[1:] & (np.diff(t) > SILENCE_S))[:1]
         shown += np.maximum(t[gaps] + SILENCE_S, fault.at_s).tolist() if flag.silence else []
     # back to what can be used, with all that it had lost
-    stopped = lost | np.isin(got.status, STOPPED)
+    stopped = lost | np.isin(e.status, STOPPED)
     after = within & (t >= fault.end_s)
     last_stop_s = t[after & stopped].max(initial=-np.inf)
-    usable = t[after & ~stopped & (t > last_stop_s) & np.isin(got.why, USABLE)][:1].tolist()
+    usable = t[after & ~stopped & (t > last_stop_s) & np.isin(e.why, USABLE)][:1].tolist()
     back = [at for at, kind in got.returns if kind == fault.kind and fault.end_s < at < close_s][:1]
     back += [at for at, in_list in listed if in_list and at > fault.end_s][-1:]
     is_back = usable and (back or fault.kind != "subscriber_dead")
     overlapped = _is_overlapped(fault, scenario)
-    before = got.status[t < close_s][-1:]
+    before = e.status[t < close_s][-1:]
     return FaultSigns(
         fault,
         flag,

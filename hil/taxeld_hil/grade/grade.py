@@ -11,17 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.arrays import Bools, Floats, Poses
+from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import Status
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
 from taxeld.pipeline.freshness import Why
 from taxeld.source.session import truth as true_pose
+from taxeld.stream.messages import STAGES
 from taxeld_hil import integrity
 from taxeld_hil.grade import session
 from taxeld_hil.grade.flags import FaultSigns, signs
 from taxeld_hil.grade.reconcile import Law, laws
-from taxeld_hil.grade.session import Reception, Run
+from taxeld_hil.grade.session import POSE, Reception, Run
 from taxeld_hil.scenario.scenario import Expect
 from taxeld_hil.world.world import load_model
 
@@ -97,35 +98,40 @@ def grade(directory: Path) -> Grade:
 
 def _figures(got: Reception) -> dict[str, Any]:
     """What needs no truth."""
-    last = got.status[-1:].tolist()
-    unsure = np.flatnonzero(got.status != Status.CONVERGED)
-    sure_since = got.contacts[unsure[-1] + 1 if len(unsure) else 0 :][:1].tolist()
-    is_new = (got.scan_t != 0.0) & (np.diff(got.scan_t, prepend=0.0) != 0.0)  # of each scan
-    new = got.lat_ms["skin"] > 0.0
+    e = got.estimates
+    unsure = np.flatnonzero(e.status != Status.CONVERGED)
+    sure_since = e.contacts[unsure[-1] + 1 if len(unsure) else 0 :][:1]
+    first = e[(e.t != 0.0) & (np.diff(e.t, prepend=0.0) != 0.0)]  # of each scan
+    ticks = e[e.skin > 0.0]
     return {
-        "status": Status(last[0]).name.lower() if last else "none",
-        "contacts": int(got.contacts[-1]) if last else 0,
-        "sure_after": sure_since[0] if sure_since else 0,  # contacts, from when on it was sure
-        "estimates": len(got.t),
-        "valid": int((got.why == Why.VALID).sum()),
-        "age_ms": _percentiles(got.age_ms[is_new]),
-        "latency_ms": {name: _percentiles(lat[new]) for name, lat in got.lat_ms.items()},
+        "status": Status(e.status[-1]).name.lower() if len(e) else "none",
+        "contacts": int(e.contacts[-1:].sum()),
+        "sure_after": int(sure_since.sum()),  # contacts, from when on it was sure
+        "estimates": len(e),
+        "valid": int((e.why == Why.VALID).sum()),
+        "age_ms": _percentiles(1e-3 * first.age_us),
+        "latency_ms": {stage: _percentiles(1e-3 * ticks[stage]) for stage in STAGES},
     }
 
 
 def _truth(run: Run, got: Reception, scene: Scene, truth: Poses) -> dict[str, Any]:
     """The error at the end, and what misleads."""
-    known, is_sure = run.scenario.known, integrity.is_sure(got.claimed)
+    e, known = got.estimates, run.scenario.known
     number = known.index(run.scenario.bundle) if run.scenario.bundle in known else -1
+    claimed = np.where(e.why == Why.VALID, e.p, 0.0)
+    is_sure = integrity.is_sure(claimed)
     asked = is_sure.copy()
     asked[-1:] = True
-    error_mm = _errors_mm(scene, truth, got.pose, asked)
-    of_its_object = np.where(got.object == number, error_mm, np.nan)
-    misled = is_sure & integrity.is_misleading(got.claimed, of_its_object, got.radius_mm)
-    begins = got.t[misled & ~np.concatenate([[False], misled[:-1]])[: len(misled)]]
-    is_valid = (got.why[-1:] == Why.VALID).any()
+    error_mm = np.full(len(e), np.nan)
+    each, index = np.unique(e[[*POSE]][asked], return_inverse=True)
+    errors_mm = [1e3 * add_m(scene, np.array(one.tolist()), truth)[1] for one in each]
+    error_mm[asked] = np.array(errors_mm)[index]
+    of_its_object = np.where(e.object == number, error_mm, np.nan)
+    misled = is_sure & integrity.is_misleading(claimed, of_its_object, 1e3 * e.radius_m)
+    begins = e.at[np.diff(misled, prepend=False) & misled]
+    is_valid = (e.why[-1:] == Why.VALID).any()
     return {
-        "error_mm": float(error_mm[-1]) if is_valid else None,  # of the last estimate
+        "error_mm": float(error_mm[-1]) if is_valid else None,  # symmetry-aware, of the last
         "sure": int(is_sure.sum()),
         "misleading": {
             "estimates": int(misled.sum()),
@@ -134,15 +140,6 @@ def _truth(run: Run, got: Reception, scene: Scene, truth: Poses) -> dict[str, An
             "at_s": begins[:EPISODES_KEPT].tolist(),
         },
     }
-
-
-def _errors_mm(scene: Scene, truth: Poses, pose: Poses, asked: Bools) -> Floats:
-    """(N,) symmetry-aware ADD of poses (N, 3), where it is asked for; else not a number."""
-    found = np.full(len(pose), np.nan)
-    each, index = np.unique(pose[asked], axis=0, return_inverse=True)
-    errors = np.array([1e3 * add_m(scene, one, truth)[1] for one in each])
-    found[asked] = errors[index.ravel()] if len(each) else []
-    return found
 
 
 def _percentiles(values: Floats) -> dict[str, float]:
@@ -156,16 +153,17 @@ def _percentiles(values: Floats) -> dict[str, float]:
 def _found(run: Run, got: Reception, error_mm: float | None, is_unknown: bool) -> Iterator[Check]:
     expect, known = run.scenario.expect, run.scenario.known
     state, is_found = "no estimate came", False
-    if len(got.t):
-        status, why = Status(got.status[-1]), Why(got.why[-1])
+    if len(got.estimates):
+        last = got.estimates[-1]
+        status, why = Status(last.status), Why(last.why)
         state = f"status {status.name.lower()}"
         state += "" if why is Why.VALID else f", not valid: {why.name.lower()}"
         is_found = why is Why.VALID and status is Status.CONVERGED
     if not expect.found:
         yield Check("object found", None, f"not asked for; {state}")
         return
-    if len(known) > 1 and len(got.t):
-        name = known[got.object[-1]]
+    if len(known) > 1 and len(got.estimates):
+        name = known[int(last.object)]
         yield Check("which object", name == run.scenario.bundle, name)
     yield Check("object found", is_found, state)
     if is_unknown:

@@ -8,16 +8,13 @@ run it was, with the scenario, its faults and the ledger of what was sent; it is
 import json
 from array import array
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, NamedTuple
 
 import msgpack
 import numpy as np
-from numpy.typing import NDArray
 
-from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config import gate
 from taxeld.errors import SetupError
 from taxeld.pipeline.freshness import Why
@@ -25,9 +22,10 @@ from taxeld.stream import messages, topics
 from taxeld_hil.scenario.scenario import Scenario
 
 PUBLISHED, RUN = "published.msgpack", "run.json"
+KEYS = ("status", "why", "contacts", "object", "p", "radius_m", "t", "age_us")
+POSE = ("x", "y", "theta")
 
 Health = dict[str, Any]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,94 +65,48 @@ def read_run(directory: Path) -> Run:
     return Run(scenario=scenario, **values)
 
 
-class PublishedFile:
-    """Appends what a subscriber gets."""
-
-    def __init__(self, directory: Path) -> None:
-        self._file = (directory / PUBLISHED).open("wb")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
-        self._file.close()
-
-    def add(self, t: float, topic: bytes, body: bytes) -> None:
-        self._file.write(msgpack.packb((t, topic, body)))
+def add(published: BinaryIO, t: float, topic: bytes, body: bytes = b"") -> None:
+    """Append what a subscriber gets."""
+    published.write(msgpack.packb((t, topic, body)))
 
 
-@dataclass(frozen=True, slots=True)
-class Reception:
-    """All that a subscriber got of a run, in order: N estimates, and the health."""
+class Reception(NamedTuple):
+    """All that a subscriber got of a run, in order."""
 
-    t: Floats  # (N,) scenario time of their arrival
-    status: Ints  # (N,), and so on
-    why: Ints
-    contacts: Ints
-    p: Floats
-    radius_mm: Floats
-    pose: Poses  # (N, 3) the likeliest
-    object: Ints
-    scan_t: Floats  # time of its scan, by whatever clock; 0: there was none yet
-    age_ms: Floats  # of the scan
-    lat_ms: dict[str, Floats]  # by stage
-    lost: Bools  # (N, L) whether each of several links does not work, whatever the others do
-    health: list[tuple[float, Health]] = field(default_factory=list)
-    returns: list[tuple[float, str]] = field(default_factory=list)  # of killed processes
+    estimates: Any  # recarray (N,): `at` (scenario time), KEYS, POSE, stages, links
+    health: list[tuple[float, Health]]
+    returns: list[tuple[float, str]]  # of killed processes
 
-    @property
-    def claimed(self) -> Floats:
-        """`p`, or 0 where the estimate is not valid."""
-        return np.where(self.why == Why.VALID, self.p, 0.0)
+    def lost(self, link: int) -> Any:
+        """(N,) whether one of several links did not work, whatever the others did."""
+        name, e = f"link {link}", self.estimates
+        return e[name] != Why.VALID if name in e.dtype.names else np.zeros(len(e), bool)
 
 
 def read(directory: Path, links: int) -> Reception:
-    """What was published; memory: some 150 bytes an estimate.
+    """What was published; it takes some 200 bytes an estimate.
 
     Raises:
         SetupError: it cannot be read.
     """
     rows, health, returns = array("d"), list[tuple[float, Health]](), list[tuple[float, str]]()
-    links = links if links > 1 else 0
     try:
         with (directory / PUBLISHED).open("rb") as file:
-            for t, topic, body in msgpack.Unpacker(file):
+            for at, topic, body in msgpack.Unpacker(file):
                 if topic == topics.ESTIMATE:
-                    rows.extend(_row(t, msgpack.unpackb(body)))
+                    rows.extend(_row(at, msgpack.unpackb(body)))
                 elif topic == topics.HEALTH:
-                    health.append((t, msgpack.unpackb(body)))
+                    health.append((at, msgpack.unpackb(body)))
                 else:
-                    returns.append((t, topic.decode()))
+                    returns.append((at, topic.decode()))
     except (OSError, ValueError, msgpack.UnpackException) as error:
         raise SetupError(f"{directory / PUBLISHED}: cannot be read ({error})") from None
-    stages = messages.STAGES
-    table = np.frombuffer(rows).reshape(-1, 12 + len(stages) + links).T
-    status, why, contacts, of = table[1:5].astype(np.int64)
-    return Reception(
-        table[0],
-        status,
-        why,
-        contacts,
-        p=table[5],
-        radius_mm=1e3 * table[6],
-        pose=table[7:10].T,
-        object=of,
-        scan_t=table[10],
-        age_ms=1e-3 * table[11],
-        lat_ms=dict(zip(stages, 1e-3 * table[12:], strict=False)),
-        lost=table[12 + len(stages) :].T != Why.VALID,
-        health=health,
-        returns=returns,
-    )
+    of_links = [f"link {k}" for k in range(links if links > 1 else 0)]
+    names = ["at", *KEYS, *POSE, *messages.STAGES, *of_links]
+    estimates = np.array(rows).view([(name, float) for name in names]).view(np.recarray)
+    return Reception(estimates, health, returns)
 
 
-def _row(t: float, e: dict[str, Any]) -> list[float]:
-    of, pose = (e["status"], e["why"], e["contacts"], e["object"]), e["map"]
-    where = (e["p"], e["radius_m"], pose["x"], pose["y"], pose["theta"])
-    lat = (e["lat_us"][stage] for stage in messages.STAGES)
-    return [t, *of, *where, e["t"], e["age_us"], *lat, *e.get("links", ())]
+def _row(at: float, e: dict[str, Any]) -> list[float]:
+    pose, lat = (e["map"][key] for key in POSE), (e["lat_us"][key] for key in messages.STAGES)
+    return [at, *(e[key] for key in KEYS), *pose, *lat, *e.get("links", ())]

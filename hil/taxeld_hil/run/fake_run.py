@@ -14,7 +14,7 @@ from taxeld.skin.calibration import Calibration, SkinState
 from taxeld.source import recorder, session
 from taxeld.source.session import Item
 from taxeld.stream import topics
-from taxeld_hil.grade.session import Run
+from taxeld_hil.grade.session import Run, add
 from taxeld_hil.rig.ledger import Ledger
 from taxeld_hil.rig.rig import lap, rigs_of
 from taxeld_hil.run.fake import FakeDaemon, MemoryLine
@@ -119,7 +119,7 @@ class FakeRun(SessionRun):
             self.rig.advise(self._adviser.advise(self.daemon.pipeline.estimator.memory), of_t, t)
         if self.published is not None:
             body = msgpack.packb(self.daemon.message(e, now))
-            self.published.add(t, topics.ESTIMATE, body)
+            add(self.published, t, topics.ESTIMATE, body)
         if now >= self._next_health_s:
             self._next_health_s = now + HEALTH_S
             self._publish_health()
@@ -128,7 +128,7 @@ class FakeRun(SessionRun):
     def _publish_health(self) -> None:
         if self.daemon is not None and self.published is not None:
             body = msgpack.packb(self.daemon.health(self.line.now))
-            self.published.add(self.line.t, topics.HEALTH, body)
+            add(self.published, self.line.t, topics.HEALTH, body)
 
     def _play(self, directory: Path) -> None:
         write_truth(directory, self.rig.world.truth)

@@ -22,7 +22,7 @@ from taxeld.proposals import bundle
 from taxeld.source.recorder import Recorder
 from taxeld.stream import topics
 from taxeld_hil.grade.reconcile import laws
-from taxeld_hil.grade.session import Run
+from taxeld_hil.grade.session import Run, add
 from taxeld_hil.rig.bench import Bench
 from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S, Rig
 from taxeld_hil.run.processes import LiveDaemon
@@ -120,7 +120,7 @@ class LiveRun(SessionRun):
             else:
                 self._estimated(message)
             if self.published is not None:
-                self.published.add(self.t, topic, body)
+                add(self.published, self.t, topic, body)
 
     def _estimated(self, message: dict[str, Any]) -> None:
         if line := self._table.on_estimate(message):
@@ -129,7 +129,7 @@ class LiveRun(SessionRun):
     def _on(self, event: str) -> None:
         """Something has happened to a process."""
         if event == "subscriber printed" and self.published is not None:
-            self.published.add(self.t, b"subscriber_dead", b"")
+            add(self.published, self.t, b"subscriber_dead")
 
 
 class SimulatedRun(LiveRun):

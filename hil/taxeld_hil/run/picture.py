@@ -68,7 +68,7 @@ def draw(directory: Path, out: Path) -> None:
             axis.tick_params(labelsize=NUMBERS)
             axis.set_xlabel(x, fontsize=WORDS)
         row[0].set_ylabel(y, fontsize=WORDS)
-    styles = (FOUND, MAYBE, LINK) if truth is None else (TRUTH, FOUND, MAYBE, LINK)
+    styles = [FOUND, MAYBE, LINK] if truth is None else [TRUTH, FOUND, MAYBE, LINK]
     lines = [Line2D([], [], **style) for style in styles]
     figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), fontsize=WORDS)
     colours = ScalarMappable(Normalize(0.0, 1.0), TAXELS["cmap"])

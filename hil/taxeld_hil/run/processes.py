@@ -1,12 +1,11 @@
 """The processes beside the harness: the daemon, and a subscriber that may die."""
 
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import zmq
 
@@ -24,51 +23,8 @@ while True:
 """
 
 
-class Process:
-    """A process of this Python's; `what` names it in messages."""
-
-    def __init__(self, what: str, *args: str, out: IO[bytes] | None = None) -> None:
-        """`out`: a file that gets what it prints."""
-        self.what, self._out = what, out
-        self._command = [sys.executable, *args]
-        self.start()
-
-    def start(self) -> None:
-        self.running: subprocess.Popen[bytes] | None
-        self.running = subprocess.Popen(self._command, stdout=self._out)  # noqa: S603
-
-    @property
-    def pid(self) -> int:
-        """Process id of the running process."""
-        assert self.running is not None  # noqa: S101  (asked while it runs)
-        return self.running.pid
-
-    def check(self) -> None:
-        """Raises SetupError where it has ended by itself; its own message says why."""
-        if self.running is not None and self.running.poll() is not None:
-            status, self.running = self.running.returncode, None
-            raise SetupError(f"{self.what} ended early, with status {status}")
-
-    def kill(self) -> None:
-        """End it as a crash would."""
-        if self.running is not None:
-            self.running.kill()
-            self.running.wait()
-            self.running = None
-
-    def stop(self) -> None:
-        """Raises SetupError where it does not stop as asked."""
-        if self.running is None:
-            return
-        self.running.send_signal(signal.SIGTERM)
-        try:
-            status = self.running.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
-            raise SetupError(f"{self.what} did not stop within {GRACE_S:g} s") from None
-        finally:
-            self.kill()
-        if status:
-            raise SetupError(f"{self.what} ended with status {status}")
+DAEMON, SUBSCRIBED = "daemon_killed", "subscriber_dead"  # by the kinds of faults that kill them
+NAMES = {DAEMON: "daemon", SUBSCRIBED: "subscriber"}
 
 
 class LiveDaemon:
@@ -86,13 +42,21 @@ class LiveDaemon:
         self._stream.connect(stream)
         for topic in (topics.ESTIMATE, topics.TAXELS, topics.HEALTH):
             self._stream.setsockopt(zmq.SUBSCRIBE, topic)
+        self._commands = {
+            DAEMON: ["-m", "taxeld.cli", "run", str(file)],
+            SUBSCRIBED: ["-c", SUBSCRIBER, stream],
+        }
         self._printed = stack.enter_context((place / "printed").open("wb"))
         self._bytes = 0  # bytes printed by the subscriber
-        self.process = Process("the daemon", "-m", "taxeld.cli", "run", str(file))
-        stack.callback(self.process.kill)
-        to = "-c", SUBSCRIBER, stream
-        self._subscriber = Process("the subscriber", *to, out=self._printed)
-        stack.callback(self._subscriber.kill)
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        stack.callback(self._kill_all)
+        for kind in self._commands:
+            self._start(kind)
+
+    @property
+    def pid(self) -> int:
+        """Process id of the daemon, while it runs."""
+        return self._running[DAEMON].pid
 
     def messages(self, wait_ms: int) -> Iterator[tuple[bytes, bytes]]:
         """Topics and bodies of what has come; the first is waited for."""
@@ -105,19 +69,18 @@ class LiveDaemon:
         """Kill and start what `fails` says of each kind of fault; → what has happened.
 
         Raises:
-            SetupError: one has ended by itself.
+            SetupError: one has ended by itself; its own message says why.
         """
         events = []
-        for kind, name, process in (
-            ("daemon_killed", "daemon", self.process),
-            ("subscriber_dead", "subscriber", self._subscriber),
-        ):
-            process.check()
-            if fails(kind) and process.running:
-                process.kill()
+        for kind, name in NAMES.items():
+            process = self._running.get(kind)
+            if process is not None and process.poll() is not None:
+                raise SetupError(f"the {name} ended early, with status {process.returncode}")
+            if fails(kind) and process is not None:
+                self._kill(kind)
                 events.append(f"{name} killed")
-            elif not fails(kind) and not process.running:
-                process.start()
+            elif not fails(kind) and process is None:
+                self._start(kind)
                 events.append(f"{name} started")
         before, self._bytes = self._bytes, (self._place / "printed").stat().st_size
         return [*events, "subscriber printed"] if self._bytes > before else events
@@ -129,5 +92,27 @@ class LiveDaemon:
 
     def stop(self) -> None:
         """Raises SetupError where the daemon does not stop as asked."""
-        self._subscriber.kill()
-        self.process.stop()
+        if (process := self._running.get(DAEMON)) is None:
+            return
+        process.terminate()
+        try:
+            status = process.wait(GRACE_S)
+        except subprocess.TimeoutExpired:
+            raise SetupError(f"the daemon did not stop within {GRACE_S:g} s") from None
+        if status:
+            raise SetupError(f"the daemon ended with status {status}")
+
+    def _start(self, kind: str) -> None:
+        command = [sys.executable, *self._commands[kind]]
+        out = self._printed if kind == SUBSCRIBED else None
+        self._running[kind] = subprocess.Popen(command, stdout=out)  # noqa: S603
+
+    def _kill_all(self) -> None:
+        for kind in [*self._running]:
+            self._kill(kind)
+
+    def _kill(self, kind: str) -> None:
+        """End it as a crash would."""
+        process = self._running.pop(kind)
+        process.kill()
+        process.wait()

@@ -4,20 +4,20 @@ import tempfile
 import time
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Self
+from typing import BinaryIO, Self
 
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
 from taxeld.source import session
 from taxeld_hil.grade.grade import Grade, grade
-from taxeld_hil.grade.session import PublishedFile, Run
+from taxeld_hil.grade.session import PUBLISHED, Run
 
 
 class SessionRun(ABC):
     """A scenario around a daemon."""
 
     config_text: str  # the daemon's configuration
-    published: PublishedFile | None = None  # while it is played
+    published: BinaryIO | None = None  # while it is played
 
     def graded(self, name: str, directory: Path | None = None) -> Grade:
         """Play the scenario of this name to its end, leave its session in `directory`, and grade
@@ -36,7 +36,7 @@ class SessionRun(ABC):
                 file.write(self.config_text)
         except FileExistsError:
             raise SetupError(f"--out: {path} is there already; name another directory") from None
-        with PublishedFile(directory) as self.published:
+        with (directory / PUBLISHED).open("wb") as self.published:
             self._play(directory)
         self.published = None
         self._about(name).write(directory)

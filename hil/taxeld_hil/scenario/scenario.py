@@ -125,7 +125,7 @@ class Scenario:
     def in_real_time(self) -> "Scenario":
         """The same scenario. Raises SetupError where it needs the fake clock."""
         if self.links > 1 or self.advised:
-            what = "advised: a robot that is advised runs" if self.advised else "layouts: links run"
+            what = "advised: such a robot runs" if self.advised else "layouts: several links run"
             raise SetupError(f"{what} on the fake clock alone: --clock fake")
         return self
 
