@@ -131,9 +131,8 @@ class Decoder:
         of them ends: at most two."""
         for item in items:
             if isinstance(item, Frame):
-                packet, scans = self.feed(item)
-                if packet is not None:
-                    yield packet, scans
+                if (packet := self.link.feed(item)) is not None:
+                    yield packet, self.on_packet(packet)
             else:
                 for packet in self.line.feed(item.data, item.t):
                     yield packet, self.on_packet(packet)

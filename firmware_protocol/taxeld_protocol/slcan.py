@@ -7,7 +7,7 @@ CAN FD's of some adapters. An adapter answers a host's lines with CR, or BEL whe
 
 import re
 from binascii import unhexlify
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from taxeld_protocol.frames import Frame
 
@@ -82,24 +82,19 @@ class SlcanReader:
     """Bytes in pieces of any size → frames."""
 
     foreign: int = 0  # remote frames and CAN FD frames so far
+    others: list[bytes] = field(default_factory=list)  # of the last lines, those that are no frame
     _rest: bytes = b""
 
     def feed(self, data: bytes, t: float) -> list[Frame]:
-        """The frames that `data` completes, stamped with `t`."""
-        return self.frames(self.lines(data), t)
-
-    def lines(self, data: bytes) -> list[bytes]:
-        """The lines that `data` completes, as `split` gives them."""
+        """The data frames that `data` completes, stamped with `t`; foreign ones are counted."""
         lines, self._rest = split(self._rest + data)
-        return lines
-
-    def frames(self, lines: list[bytes], t: float) -> list[Frame]:
-        """The data frames among such lines, stamped with `t`; foreign ones are counted."""
-        frames = []
+        frames, self.others = [], []
         for line in lines:
             frame = parse(line, t)
             if frame is not None:
                 frames.append(frame)
             else:
                 self.foreign += carries_no_data(line)
+            if frame is None or line[-1:] == BEL:
+                self.others.append(line)
         return frames

@@ -114,6 +114,8 @@ class Bank:
     @property
     def likely(self) -> list[int]:
         """The likeliest object, and others that are not much less likely."""
+        if len(self.rules) == 1:
+            return [self.best]
         others = (k for k in self._by_odds() if k != self.best)
         # one that is yet to be tried may seem likelier
         return [self.best, *(k for k in others if self.odds.objects[k] >= DOUBTED)]

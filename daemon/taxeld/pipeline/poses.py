@@ -154,8 +154,13 @@ class PoseTrack:
         x, y, turn = (b - a for a, b in zip(before, after, strict=True))
         if math.hypot(x, y) > se2.JUMP_M:  # one of the two is wrong, and so is everything between
             return np.array(before if share < 0.5 else after)
-        theta = se2.wrap(np.float64(before[2] + share * se2.wrap(np.float64(turn))))
+        theta = wrapped(before[2] + share * wrapped(turn))
         return np.array([before[0] + share * x, before[1] + share * y, theta])
+
+
+def wrapped(angle: float) -> float:
+    """As `se2.wrap` does it, to the same bits, and faster."""
+    return angle - se2.TURN * float(np.floor((angle + np.pi) / se2.TURN))
 
 
 class StandingStill(PoseTrack):

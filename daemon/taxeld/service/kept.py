@@ -108,7 +108,7 @@ class Store:
         self._packed: BinaryIO | None = None  # scans for clients, until the door has them
         self._handed: tuple[object, ...] = ()  # what was packed last, and for which door
         self._touches: Sequence[ScanEvidence] = ()  # the contacts in it
-        self._handed_s = -math.inf
+        self._handed_s = self._next_memory_s = -math.inf
         self._writer = Writer(str(self._path or NAME))
         for k, stage in enumerate(pipeline.stages):
             self._restore(_part(f"skin{k}.", self._found), stage.skin)
@@ -171,7 +171,7 @@ class Store:
             with self._packed as packed:
                 link.remember(packed.fileno())
             self._packed = None
-        if self._estimator is None or not link.is_ready or now_s < self._handed_s + MEMORY_S:
+        if self._estimator is None or not link.is_ready or now_s < self._next_memory_s:
             return
         scans, changes = self._estimator.scans.all, self._estimator.scans.added
         key = link.end, changes, self._estimator.counters.updates
@@ -179,6 +179,7 @@ class Store:
             return
         touches = [scan for scan in scans if scan.is_contact]
         is_same = self._handed[:1] == key[:1] and touches == self._touches
+        self._next_memory_s = now_s + MEMORY_S
         if is_same and now_s < self._handed_s + SILENT_S:
             return
         self._handed, self._touches, self._handed_s = key, touches, now_s

@@ -147,7 +147,7 @@ class Daemon:
             has_more, now_s = self.inputs.gather(), time.monotonic()
             if self.link.is_asking and now_s < until_s:
                 wait([], self.link.end, now_s + GATHER_S if has_more else until_s)
-                self.door.look(time.monotonic())
+                self._look(time.monotonic())
             elif has_more:
                 time.sleep(GATHER_S)
             else:
@@ -163,9 +163,8 @@ class Daemon:
             pipeline.clock_stepped(stepped)
             self.inputs.watch.clock_stepped()
         # poses, subscriptions and changes; while nothing needs them, only now and then
-        if any(ready) or pipeline.has_waiting or now_s >= self._next_look_s:
-            self._next_look_s = now_s + LOOK_S
-            self.door.look(now_s)
+        if ready.door or pipeline.has_waiting or now_s >= self._next_look_s:
+            self._look(now_s)
         # a pass for poses alone leaves the sources to the next one
         polls = ready.device or not ready.door or self.inputs.come_by_door
         scans = polled(self.inputs.sources, now_s) if polls else []
@@ -191,6 +190,11 @@ class Daemon:
             publisher.health(self.health(now_s, t), now_s)
         own_s = (time.thread_time_ns() - began_ns) / 1e9
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
+
+    def _look(self, now_s: float) -> None:
+        """Take what the door has said."""
+        self._next_look_s = now_s + LOOK_S
+        self.door.look(now_s)
 
     def _judge_touch(self, took_ns: int) -> None:
         """Have fewer samples drawn where touches take more CPU time than there is between scans."""

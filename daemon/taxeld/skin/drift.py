@@ -50,7 +50,7 @@ class Slice:
         for total in (self.scans, self.changed, self._sum, self._squares):
             total[:] = 0
 
-    def add(self, t: float, places: Index, counts: Floats, changed: Bools) -> bool:
+    def add(self, t: float, places: Index | slice, counts: Floats, changed: Bools) -> bool:
         """Take counts (k,) of k channels, 0 where not valid, and whether they have changed since
         the scan before (k,); → whether the slice is full."""
         if not self.end <= t < self.end + GAP_S:

@@ -19,12 +19,16 @@ class Residue:
     def __init__(self, taxels: int) -> None:
         self.level: Floats = np.zeros(taxels)  # (M,) counts over baseline left by presses
         self.pressed: Bools = np.zeros(taxels, dtype=bool)  # (M,)
+        self.is_none = True  # nothing is pressed, and nothing is left
         self._peak = np.zeros(taxels)  # (M,) peak of the press under way [counts]
         self._mean = np.zeros(taxels)  # (M,) mean reading since the release [counts]
 
     def on_scan(self, over: Floats, threshold: Floats) -> None:
         """Take counts (M,) over baseline; a rise by `threshold` (M,) is a press."""
         level, pressed = self.level, self.pressed
+        if self.is_none and not (over > threshold).any():
+            self._peak = over
+            return
         mean = self._mean + FRESH * (over - self._mean)
         mean = np.where(over < mean - threshold, over, mean)  # a fall, and no noise
         level = np.where(pressed, level, np.minimum(np.maximum(mean, 0.0), level))
@@ -34,3 +38,4 @@ class Residue:
         self.level = np.where(ended, np.maximum(over, 0.0), level)
         self._mean = np.where(ended, over, mean)
         self.pressed, self._peak = pressed & ~ended, peak
+        self.is_none = not (self.pressed.any() or self.level.any())

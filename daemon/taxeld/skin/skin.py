@@ -76,7 +76,9 @@ class Skin:
         self._counts: Floats = np.zeros(m + len(self.wiring.suis))
         self._saturated: Bools = np.zeros(len(self._counts), dtype=bool)
         self._usable: Bools = np.zeros(m, dtype=bool)  # (M,) has a baseline, and is not frozen
-        self._last: dict[int, tuple[float, Index]] = {}  # hub → time of its last scan, its places
+        self._last: dict[
+            int, tuple[float, Index | slice]
+        ] = {}  # hub → time of its last scan, its places
         self._t = -np.inf
         self._state: SkinState | None = None  # stored, and not confirmed for `_pending` taxels
         self._pending: Bools = np.zeros(m, dtype=bool)
@@ -84,6 +86,7 @@ class Skin:
         self._drift = Drift(layout, self.wiring, self._full_scale)
         self._rest = Rest(m, calibration)
         self._foam = Residue(m)
+        self._unmarked: tuple[Floats, Floats] | None = None  # floors and residues without presses
         self.tare()
 
     def tare(self) -> None:
@@ -134,6 +137,7 @@ class Skin:
     def _use_fit(self) -> None:
         gain, onset, _ = self.fit.fit.mean
         self._own, self._inverse = self._full_scale * gain, Inverse(self.fit.bend, onset)
+        self._unmarked = None
         self.noise = self.fit.noise
 
     def on_scan(self, scan: Scan) -> Activation | None:
@@ -145,8 +149,8 @@ class Skin:
             return None
         self._age(scan.ihb, scan.t, wired.places)
         read = np.array(scan.counts, dtype=np.float64)[wired.channels]
-        self._saturated[wired.places] = read >= INVALID_FROM
-        read[(read < 0.0) | (read >= INVALID_FROM)] = 0.0
+        self._saturated[wired.places] = is_saturated = read >= INVALID_FROM
+        read[is_saturated | (read < 0.0)] = 0.0
         changed = read != self._counts[wired.places]
         self._counts[wired.places] = read
         if scan.rest:
@@ -168,7 +172,7 @@ class Skin:
             self._settle()
         return activation
 
-    def _age(self, hub: int, t: float, places: Index) -> None:
+    def _age(self, hub: int, t: float, places: Index | slice) -> None:
         """A hub has sent a scan of `places` (n,) at time t. Readings of hubs that have been silent
         too long end."""
         self._t = max(self._t, t)  # hubs end their scans in any order
@@ -193,7 +197,7 @@ class Skin:
         self._drift.take(taxels, baseline)
         self._rest.take(taxels, noise)
         self.threshold[taxels] = self._threshold(self._rest.noise[taxels])
-        self._usable = self._idle.known & ~self._rest.frozen
+        self._usable, self._unmarked = self._idle.known & ~self._rest.frozen, None
         self._slice.begin(self._t)  # earlier readings may be a touch
 
     def _threshold(self, noise: Floats) -> Floats:
@@ -204,6 +208,11 @@ class Skin:
         live = self.live = (self.counts > 0) & self._usable
         over = self.over = self.counts - self.baseline
         self._foam.on_scan(np.where(live, over, 0.0), self.threshold)
+        if self._foam.is_none:  # as nearly always
+            self.touched = False
+            if self._unmarked is None:
+                self._unmarked = self._scaled(self.threshold), self._scaled(self._foam.level)
+            return Activation(self._t, np.zeros(len(live)), live, *self._unmarked, self.noise)
         pressed, left = live & self._foam.pressed, self._foam.level
         self.touched = bool(pressed.any())
         self._drift.touched(self._t, pressed | (left > self.threshold))
@@ -221,7 +230,7 @@ class Skin:
         self._rest.stood_still(part, known)
         self._usable = known & ~self._rest.frozen
         self._rest.varied(part, self._drift.on_slice(part, self._usable, self.threshold))
-        self.threshold = self._threshold(self._rest.noise)
+        self.threshold, self._unmarked = self._threshold(self._rest.noise), None
         self.counters.lowered = self._drift.lowered
         part.begin(self._t)
 

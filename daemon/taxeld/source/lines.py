@@ -175,9 +175,10 @@ class SlcanDevice(SerialLine):
         self._complained: set[bytes] = set()  # first letters of refused lines that were logged
 
     def read(self) -> Sequence[Frame]:
-        data, now = self._receive(), time.time()
-        lines = self._reader.lines(data)
-        for line in lines:
+        data, now, foreign = self._receive(), time.time(), self._reader.foreign
+        frames = self._reader.feed(data, now)
+        self._frame_came |= bool(frames)
+        for line in self._reader.others:
             if line[-1:] == slcan.BEL:
                 self._answer = False
                 self._refused()
@@ -189,8 +190,6 @@ class SlcanDevice(SerialLine):
                 self._answer = True
                 flags = int(status[1], 16)
                 self.noticed.bus.update(fault for bits, fault in FLAGGED.items() if flags & bits)
-        foreign = self._reader.foreign
-        frames = self._reader.frames(lines, now)
         self.noticed.foreign += self._reader.foreign - foreign
         return frames
 
