@@ -1,11 +1,10 @@
 """`make bench`: cost of the wire, of a touch and of a running daemon, beside their budgets.
 
-CPU time and counts, medians over rounds; wall-clock figures are printed, not judged. CPU time is
-also given in loops of yardstick.py, a column that can be compared between machines.
+CPU time and counts, medians over rounds; wall-clock figures are printed, not judged. The last row
+says how fast this machine is (yardstick.py).
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -22,6 +21,7 @@ import numpy as np
 import protocol
 import service
 import yardstick
+from service import Row
 from taxeld import native
 from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.estimator.estimator import Estimator
@@ -32,32 +32,18 @@ from taxeld.proposals import bundle
 
 ROUNDS = 7
 TOUCHES = 20
-Row = tuple[str, float, float | None]  # a figure, measured, and its budget
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="write the figures there as well")
     parser.add_argument("--no-demo", action="store_true", help="leave the real-time demo out")
+    parser.add_argument("--seconds", type=float, default=40.0, help="a case of a running daemon")
+    parser.add_argument("--beside", type=Path, help="another checkout, as service.py has it")
     args = parser.parse_args()
-    loop = yardstick.Loop()
-    lines: list[dict[str, str | float | None]] = []
-    groups = [protocol.rows, touches, service.streams, service.rows, demo]
-    for group in groups[:-1] if args.no_demo else groups:
-        with loop.around():
-            found = [*group()]
-        for figure, measured, budget in found:
-            loops = loop.ratio(figure, measured)
-            row = {"figure": figure, "measured": measured, "loops": loops, "budget": budget}
-            lines.append(row)
-    print(f"{'figure':60s} {'measured':>12s} {'loops':>10s} {'budget':>10s}")
-    for line in lines:
-        numbers = (line["measured"], line["loops"], line["budget"])
-        told = ("" if number is None else f"{number:.3f}" for number in numbers)
-        print("{:60s} {:>12s} {:>10s} {:>10s}".format(line["figure"], *told))
-    print(f"{'a loop of the yardstick: CPU ms':60s} {loop.ms:12.3f}")
-    if args.json:
-        args.json.write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
+    service.show([*protocol.rows(), *touches()])
+    service.show(service.rows(args.seconds, args.beside))
+    service.show([] if args.no_demo else demo())
+    service.show([("a loop of the yardstick: CPU ms", yardstick.loop_ms(), None)])
     return 0
 
 
@@ -67,10 +53,9 @@ def touches() -> list[Row]:
     skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("box", skin, 0.005)
     model = loaded.model
-    rng = np.random.default_rng(0)
     settings = FilterConfig(particles=100, particles_max=100, injected=100)
-    poses = contacts.synthesise(model.scene, skin.radius_m, 0.005, 2000, rng).pose
-    pressed = poses[model.activation(poses).max(axis=1) > 0.3][:TOUCHES]
+    made = contacts.synthesise(model.scene, skin.radius_m, 0.005, 2000, np.random.default_rng(0))
+    pressed = made.pose[model.activation(made.pose).max(axis=1) > 0.3][:TOUCHES]
     readings = model.activation(pressed)
     sensors = se2.inverse(pressed)  # the object stands at the origin
     live = np.ones(len(skin), dtype=bool)
@@ -95,9 +80,8 @@ def touches() -> list[Row]:
                     estimator.on_scan(Activation(t + gap, 0.0 * z, live), sensor)
                 t += 1.0
         how = name if switch == "1" else f"{name}, numpy alone"
-        figure = f"a touch, N = 100, S = 100, {how}: CPU ms"
         budget = 5.0 if (name, switch) == (shipped, "1") else None
-        rows.append((figure, float(np.median(spent)), budget))
+        rows.append((f"a touch, {how}: CPU ms", float(np.median(spent)), budget))
     del os.environ[native.SWITCH]
     native.library.cache_clear()
     return rows
