@@ -18,7 +18,6 @@ os.environ |= dict.fromkeys(ONE_THREAD, "1")  # as the daemon has
 
 import numpy as np
 
-import protocol
 import service
 import yardstick
 from service import Row
@@ -29,9 +28,13 @@ from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Activation
 from taxeld.proposals import bundle
+from taxeld_protocol import cyskin
+from taxeld_protocol.decoder import Decoder
+from taxeld_protocol.modules import wired
+from taxeld_protocol.virtual_ihb import VirtualIhb
 
-ROUNDS = 7
-TOUCHES = 20
+ROUNDS, TOUCHES, SCANS = 7, 20, 60
+SATURATED_FRAMES_S = 9_000  # most frames of 8 bytes on a bus of 1 Mbit/s
 
 
 def main() -> int:
@@ -40,16 +43,36 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=40.0, help="a case of a running daemon")
     parser.add_argument("--beside", type=Path, help="another checkout, as service.py has it")
     args = parser.parse_args()
-    service.show([*protocol.rows(), *touches()])
+    service.show([*decoding(), *touches()])
     service.show(service.rows(args.seconds, args.beside))
     service.show([] if args.no_demo else demo())
     service.show([("a loop of the yardstick: CPU ms", yardstick.loop_ms(), None)])
     return 0
 
 
+def decoding() -> list[Row]:
+    """Frames of a hub of 60 modules to scans."""
+    modules = wired([(i // 10 + 1) << 4 | (i % 10 + 1) for i in range(600)])
+    hub, rng = VirtualIhb(modules), np.random.default_rng(0)
+    counts = rng.integers(1, 42_000, (SCANS, sum(module.channels for module in modules))).tolist()
+    frames = [
+        frame
+        for k, scan in enumerate(counts)
+        for command, payload in hub.sensor_data(scan)
+        for frame in cyskin.to_frames(command, payload, ihb=1, t=k * 0.05)
+    ]
+    spent = []
+    for _ in range(ROUNDS):
+        decoder, start = Decoder(lambda _: modules), time.process_time()
+        assert sum(len(scans) for _, scans in decoder.take(frames)) == SCANS
+        spent.append(time.process_time() - start)
+    rate = len(frames) / float(np.median(spent))
+    return [("fragments to scans, frames/s (at least)", rate, 10.0 * SATURATED_FRAMES_S)]
+
+
 def touches() -> list[Row]:
-    """One touch through the estimator with S = 100, N = 100: the baseline, each sampler, and the
-    shipped one without the code in C."""
+    """One touch through the estimator with S = 100, N = 100, by the shipped sampler, with the code
+    in C and without."""
     skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("box", skin, 0.005)
     model = loaded.model
@@ -60,12 +83,10 @@ def touches() -> list[Row]:
     sensors = se2.inverse(pressed)  # the object stands at the origin
     live = np.ones(len(skin), dtype=bool)
     rows: list[Row] = []
-    shipped = loaded.order[0]
-    by_c = ["projection", *(s.name for s in loaded.manifest.samplers)]
-    for name, switch in [*((name, "1") for name in by_c), (shipped, "0")]:
+    for switch, how, budget in (("1", "by C", 5.0), ("0", "by numpy alone", None)):
         os.environ[native.SWITCH] = switch
         native.library.cache_clear()
-        estimator = Estimator(model, loaded.proposal(name), settings)
+        estimator = Estimator(model, loaded.proposal(loaded.order[0]), settings)
         spent: list[float] = []
         t = 0.0
         for _ in range(ROUNDS):
@@ -79,8 +100,6 @@ def touches() -> list[Row]:
                 for gap in (0.1, 0.3):
                     estimator.on_scan(Activation(t + gap, 0.0 * z, live), sensor)
                 t += 1.0
-        how = name if switch == "1" else f"{name}, numpy alone"
-        budget = 5.0 if (name, switch) == (shipped, "1") else None
         rows.append((f"a touch, {how}: CPU ms", float(np.median(spent)), budget))
     del os.environ[native.SWITCH]
     native.library.cache_clear()

@@ -1,9 +1,9 @@
 """The daemon as a process: share of a core, delay, start, memory, overruns (stand.py).
 
-    python benchmarks/service.py [--seconds 40] [--beside CHECKOUT] [--long MINUTES]
+    python benchmarks/service.py [--seconds 40] [--beside CHECKOUT]
 
-With `--beside` another checkout's daemon runs at the same time, and each figure has its ratio to
-that, with an interval of 95 % over windows of four seconds or over scans.
+With `--beside` another checkout's daemon runs at the same time, and figures have their ratio to
+its own, with an interval of 95 % over windows of four seconds or over scans.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from stand import Case, Measured, measure
+from stand import Load, Measured, measure
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 
@@ -25,72 +25,51 @@ HERE = Path(__file__).parents[1]
 LARGE = "cylinder:rows=5,columns=128,radius_m=0.04,pitch_m=0.015"  # 640 taxels
 Row = tuple[str, float, float | None]  # a figure, measured, and its budget
 Figure = tuple[str, float | None, Callable[[Measured], Any]]  # name, budget, its values
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=40.0, help="a case of CPU time")
-    parser.add_argument("--beside", type=Path, help="another checkout, for ratios")
-    parser.add_argument("--long", type=float, default=0.0, help="minutes, touched all the time")
-    args = parser.parse_args()
-    show(rows(args.seconds, args.beside, args.long))
-    return 0
-
-
-def show(found: Iterable[Row]) -> None:
-    """Print each figure as it comes."""
-    for name, value, budget in found:
-        print(f"{name:84s} {value:12.3f} {'' if budget is None else f'{budget:10.2f}'}", flush=True)
-
-
-def rows(seconds: float, beside: Path | None = None, long: float = 0.0) -> Iterator[Row]:
-    """All figures, each case's after it has run."""
-    with tempfile.TemporaryDirectory() as name:
-        wide = Case(touched=True, layout=LARGE, bundle=str(large_bundle(Path(name) / "large")))
-        for case, what, figures in (
-            (Case(touched=False), "untouched", [*USUAL, *START]),
-            (Case(touched=False, subscribers=10), "untouched, ten subscribers", USUAL),
-            (Case(touched=True), "touched all the time", [*USUAL, *LOOP]),
-            (wide, "640 taxels, touched all the time", USUAL[:1]),
-        ):
-            yield from _rows(case, what, figures, seconds, beside)
-        if long:
-            named = f"touched, {long:g} minutes"
-            yield from _rows(Case(touched=True), named, [*LOOP, *GROWTH], 60.0 * long, None)
-
-
 USUAL: list[Figure] = [
     ("a core's share: %", 2.0, lambda ran: ran.cpu_percent),
-    ("a scan's last frame to its last subscriber, median: ms", 1.5, lambda ran: ran.reached_ms),
+    ("last frame to last subscriber, median: ms", 1.5, lambda ran: ran.reached_ms),
 ]
 START: list[Figure] = [
     ("start to ready: CPU s", 0.5, lambda ran: [ran.start_cpu_s]),
     ("resident memory: MB", 100.0, lambda ran: ran.resident_mb[-1:]),
 ]
 LOOP: list[Figure] = [
-    ("a scan's way through the loop, 99 %: ms", 5.0, lambda ran: [_total(ran)["p99"] / 1e3]),
-    ("  … and longest: ms", None, lambda ran: [_total(ran)["max"] / 1e3]),
-    ("overruns of its own", 0.0, lambda ran: [ran.health["loop"]["own_overruns"]]),
-]
-GROWTH: list[Figure] = [
-    ("growth of resident memory: MB", 1.0, lambda ran: np.diff(ran.resident_mb))
+    ("a scan's way, 99 %: us", 5000.0, lambda ran: [ran.health["lat_us"]["total"]["p99"]]),
+    ("growth of resident memory: MB", 1.0, lambda ran: [np.ptp(ran.resident_mb)]),
 ]
 
 
-def _total(ran: Measured) -> dict[str, float]:
-    found: dict[str, float] = ran.health["lat_us"]["total"]
-    return found
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=40.0, help="a case of CPU time")
+    parser.add_argument("--beside", type=Path, help="another checkout, for ratios")
+    args = parser.parse_args()
+    show(rows(args.seconds, args.beside))
+    return 0
 
 
-def _rows(
-    case: Case, what: str, figures: list[Figure], seconds: float, beside: Path | None
-) -> Iterator[Row]:
-    ours, *theirs = measure(case, seconds, [HERE, beside] if beside else [HERE])
-    for name, budget, values in figures:
-        yield f"{what}: {name}", float(np.median(values(ours))), budget
-        for other in theirs:
-            middle, low, high = ratio(values(ours), values(other))
-            yield f"  … over that beside it, {low:.2f} to {high:.2f}", middle, None
+def show(found: Iterable[Row]) -> None:
+    """Print each figure as it comes."""
+    for name, value, budget in found:
+        print(f"{name:72s} {value:12.3f} {'' if budget is None else f'{budget:10.2f}'}", flush=True)
+
+
+def rows(seconds: float, beside: Path | None = None) -> Iterator[Row]:
+    """All figures, each case's after it has run."""
+    with tempfile.TemporaryDirectory() as name:
+        wide = Load(touched=True, layout=LARGE, bundle=str(large_bundle(Path(name) / "large")))
+        for case, what, figures in (
+            (Load(touched=False), "untouched", [*USUAL, *START]),
+            (Load(touched=False, subscribers=10), "untouched, ten subscribers", USUAL),
+            (Load(touched=True), "touched all the time", [*USUAL, *LOOP]),
+            (wide, "640 taxels, touched all the time", USUAL[:1]),
+        ):
+            ours, *theirs = measure(case, seconds, [HERE, *([beside] if beside else [])])
+            for figure, budget, values in figures:
+                yield f"{what}: {figure}", float(np.median(values(ours))), budget
+                for other in theirs:
+                    middle, low, high = ratio(values(ours), values(other))
+                    yield f"  … over that beside it, {low:.2f} to {high:.2f}", middle, None
 
 
 def ratio(ours: Any, theirs: Any) -> tuple[float, float, float]:
@@ -105,15 +84,14 @@ def ratio(ours: Any, theirs: Any) -> tuple[float, float, float]:
     return float(np.median(one) / np.median(other)), low, high
 
 
-def large_bundle(path: Path, layout: str = LARGE) -> Path:
+def large_bundle(path: Path) -> Path:
     """The shipped box for a skin of as many rows but more columns: by the table, as its samplers
     are of their own skin."""
     shutil.copytree(bundle.find("box"), path)
-    info = json.loads((path / "bundle.json").read_text(encoding="utf-8"))
-    large = layouts.load(layout)
+    info, large = json.loads((path / "bundle.json").read_text()), layouts.load(LARGE)
     info["layout"] = {**info["layout"], "name": large.name, "digest": large.digest}
     info["samplers"], info["auto"] = [], ["table"]
-    (path / "bundle.json").write_text(json.dumps(info), encoding="utf-8")
+    (path / "bundle.json").write_text(json.dumps(info))
     return path
 
 
