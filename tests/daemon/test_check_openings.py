@@ -84,12 +84,7 @@ SOCKET = "taxeld.source.socketcan.socket.socket"
 SERIAL, SLCAN, PCAN = {"kind": "serial"}, {"interface": "slcan"}, {"interface": "pcan"}
 UNOPENED = [  # source, what fails how, and the beginning of the line
     ({"interface": "PCAN"}, {}, "source.interface: python-can knows no 'PCAN'; did you mean pc"),
-    ({"interface": "kvasser"}, {}, "source.interface: python-can knows no 'kvasser'; did you mean"),
-    (
-        {"interface": "/dev/ttyACM0"},
-        {},
-        "source.interface: python-can knows no '/dev/ttyACM0'; it knows canalystii, cantact, ",
-    ),
+    ({"interface": "/dev/tty"}, {}, "source.interface: python-can knows no '/dev/tty'; it knows "),
     (
         PCAN,
         {"can.Bus": Mock(side_effect=OSError("pcanbasic library not found."))},
@@ -286,65 +281,56 @@ def test_an_interface_that_is_down_is_noted(
     assert (noted in said) == is_down
 
 
-class TestUnanswered:
-    @pytest.mark.parametrize(
-        ("closed", "group", "cure"),
-        [
-            (
-                "control",
-                "taxeld",
-                "it is for members of the group taxeld: sudo usermod -aG taxeld ",
-            ),
-            (
-                "",
-                "taxeld",
-                "it is for members of the group taxeld: sudo usermod -aG taxeld robin, ",
-            ),
-            ("", "rob3", "it is open to rob3 alone: ask as rob3, or run the daemon as the service"),
-        ],
-    )
-    def test_no_permission_is_not_no_daemon(
-        self,
-        place: Path,
-        request: pytest.FixtureRequest,
-        monkeypatch: pytest.MonkeyPatch,
-        closed: str,
-        group: str,
-        cure: str,
-    ) -> None:
-        at = place / "run"
-        at.mkdir()
-        monkeypatch.setattr(getpass, "getuser", lambda: "robin")
-        monkeypatch.setattr(Path, "group", lambda _: group)
-        monkeypatch.setattr(Path, "owner", lambda _: "rob3")
-        with socket.socket(socket.AF_UNIX) as other:
-            other.bind(f"{at}/control")
-            other.listen()
-            (at / closed).chmod(0)
-            request.getfixturevalue("plain_user")
-            told = refused("status", f"ipc://{at}/control", status=1)
-            at.chmod(0o755)
-        assert told.startswith(f"no permission to ask at ipc://{at}/control: {cure}")
-
-    def test_who_is_not_in_the_group_is_told_of_the_services_daemon(
-        self, place: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        service, own = place / "taxeld", place / "own"
-        service.mkdir()
-        own.mkdir()
-        service.chmod(0)
-        monkeypatch.setattr(endpoints, "RUNTIME", service)
-        monkeypatch.setenv("XDG_RUNTIME_DIR", str(own))
+@pytest.mark.parametrize(
+    ("closed", "group", "cure"),
+    [
+        ("control", "taxeld", "for members of the group taxeld: sudo usermod -aG taxeld "),
+        ("", "taxeld", "for members of the group taxeld: sudo usermod -aG taxeld robin, "),
+        ("", "rob3", "open to rob3 alone: ask as rob3, or run the daemon as the service"),
+    ],
+)
+def test_no_permission_is_not_no_daemon(
+    place: Path,
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
+    closed: str,
+    group: str,
+    cure: str,
+) -> None:
+    at = place / "run"
+    at.mkdir()
+    monkeypatch.setattr(getpass, "getuser", lambda: "robin")
+    monkeypatch.setattr(Path, "group", lambda _: group)
+    monkeypatch.setattr(Path, "owner", lambda _: "rob3")
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(f"{at}/control")
+        other.listen()
+        (at / closed).chmod(0)
         request.getfixturevalue("plain_user")
-        endpoint = f"ipc://{own}/taxeld/control"
-        told = refused("status", endpoint, status=1)
-        assert told.startswith(f"no daemon answers at {endpoint}; is 'taxeld run' there? That of ")
-        assert f"That of the service, in {service}, is " in told
-        service.chmod(0o755)
+        told = refused("status", f"ipc://{at}/control", status=1)
+        at.chmod(0o755)
+    assert told.startswith(f"no permission to ask at ipc://{at}/control: it is {cure}")
 
-    def test_what_takes_the_question_and_is_no_daemon_is_told(self, place: Path) -> None:
-        with socket.socket(socket.AF_UNIX) as other:
-            other.bind(f"{place}/control")
-            other.listen()
-            told = refused("status", f"ipc://{place}/control", status=1)
-        assert "takes the question and does not answer" in told
+
+def test_who_is_not_in_the_group_is_told_of_the_services_daemon(
+    place: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service, own = place / "taxeld", place / "own"
+    service.mkdir(mode=0)
+    own.mkdir()
+    monkeypatch.setattr(endpoints, "RUNTIME", service)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(own))
+    request.getfixturevalue("plain_user")
+    endpoint = f"ipc://{own}/taxeld/control"
+    told = refused("status", endpoint, status=1)
+    assert told.startswith(f"no daemon answers at {endpoint}; is 'taxeld run' there? That of ")
+    assert f"That of the service, in {service}, is " in told
+    service.chmod(0o755)
+
+
+def test_what_takes_the_question_and_is_no_daemon_is_told(place: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(f"{place}/control")
+        other.listen()
+        told = refused("status", f"ipc://{place}/control", status=1)
+    assert "takes the question and does not answer" in told

@@ -141,16 +141,8 @@ def test_scans_with_and_without_noise_of_links_of_two_sizes_come_back() -> None:
     [
         (1000.0, {}, ["1000 s old: the object is to be found again"]),
         (1.0, {"seed": 12_345}, ["it is of another scene, skin or configuration: the object is"]),
-        (
-            DAY_S,
-            {},
-            ["24.0 h old: the idle baseline is learned again", "s old: the object"],
-        ),
-        (
-            -DAY_S,
-            {},
-            ["-24.0 h old: the idle baseline is learned again", "s old: the object"],
-        ),
+        (DAY_S, {}, ["24.0 h old: the idle baseline is learned again", "s old: the object"]),
+        (-DAY_S, {}, ["-24.0 h old: the idle baseline is learned again", "s old: the object"]),
     ],
 )
 def test_what_is_old_or_of_another_configuration_is_not_used_and_each_part_says_so(

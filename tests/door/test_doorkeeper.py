@@ -16,7 +16,6 @@ from taxeld.door.settings import LIMITS, OOM_SCORE, Settings
 from taxeld.errors import SetupError
 from taxeld.service import doorkeeper
 from taxeld.service.doorkeeper import Doorkeeper
-from taxeld.stream import link
 
 from ..rig.clocks import PATIENCE_S, until
 from .stand import INFO, Stand
@@ -37,18 +36,6 @@ def test_a_killed_door_is_back_and_subscribers_come_back_by_themselves(
         assert stand.keeper.starts == 3
         assert stand.answer({"cmd": "info"})["info"] == INFO
     assert "door: ended: Killed; it is started again" in caplog.messages
-
-
-def test_a_door_that_hangs_is_ended_and_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(link, "SILENT_S", 2.0)  # a door speaks each second
-    with Stand(tmp_path) as stand:
-        before = stand.pid
-        os.kill(before, signal.SIGSTOP)
-        stand.until(lambda: stand.link.is_ready and stand.pid != before)
-        stand.received(stand.subscriber(b"/taxeld/e"))
-        stand.until(lambda: not Path(f"/proc/{before}").exists())
 
 
 def test_a_door_ends_with_its_loop(tmp_path: Path) -> None:

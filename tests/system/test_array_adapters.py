@@ -1,7 +1,6 @@
 """The adapters in examples/adapters: each sends arrays of what it adapts, or of a stand-in."""
 
 import contextlib
-import importlib.util
 import json
 import runpy
 import socket
@@ -9,18 +8,17 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
-import zmq
 
 from taxeld.layout import read as layouts
 from taxeld_protocol import array
 from taxeld_protocol.array import FULL, REST, ArrayFrame
 from tests.rig.clocks import until
+from tests.rig.sockets import Sockets
 from tests.ros2.loopback import DOMAIN, ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
@@ -31,38 +29,21 @@ FOREARM = ROOT.parent / "shared" / "data" / "icub_positions" / "left_forearm_V2.
 class Ear:
     """A subscriber, as the door's."""
 
-    def __init__(self, endpoint: str, subscriber: "zmq.Socket[bytes]") -> None:
-        self.endpoint, self.socket = endpoint, subscriber
-        self.socket.subscribe(b"")
-        self.socket.connect(endpoint)
+    def __init__(self, sockets: Sockets, endpoint: str) -> None:
+        self.endpoint, self.socket = endpoint, sockets.subscriber(endpoint)
 
-    def frame(self, say: Callable[[], object] = lambda: None) -> ArrayFrame:
-        """The next array, which the door would pass on; `say` is called until one comes."""
-        until(lambda: say() or self.socket.poll(20))
+    def frame(self) -> ArrayFrame:
+        """The next array, which the door would pass on."""
+        until(lambda: self.socket.poll(20))
         found = array.parse(array.read_json(self.socket.recv()))
         assert isinstance(found, ArrayFrame), found
         return found
 
 
 @pytest.fixture
-def context() -> "Iterator[zmq.Context[zmq.Socket[bytes]]]":
-    with zmq.Context() as made:
-        yield made
-
-
-@pytest.fixture
-def ear(tmp_path: Path, context: "zmq.Context[zmq.Socket[bytes]]") -> Iterator[Ear]:
-    with context.socket(zmq.SUB) as subscriber:
-        yield Ear(f"ipc://{tmp_path}/skin", subscriber)
-
-
-def adapter(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ADAPTERS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made
+def ear(tmp_path: Path) -> Iterator[Ear]:
+    with Sockets() as sockets:
+        yield Ear(sockets, f"ipc://{tmp_path}/skin")
 
 
 @contextlib.contextmanager
@@ -73,43 +54,6 @@ def running(name: str, *arguments: object) -> Iterator[None]:
             yield
         finally:
             process.kill()
-
-
-PRESS = """<mujoco><option gravity="0 0 0"/>
-<asset><mesh name="skin" builtin="sphere" params="2" scale=".05 .05 .05"/></asset>
-<worldbody>
- <body name="link"><geom name="link" type="sphere" size=".05"/></body>
- <body name="ball" pos=".2 0 0"><freejoint/><geom name="ball" type="sphere" size=".022"/></body>
-</worldbody>
-<sensor><tactile name="skin" geom="link" mesh="skin"/></sensor></mujoco>"""
-
-
-def test_mujocos_tactile_sensor_feels_a_scripted_press(
-    ear: Ear, tmp_path: Path, context: "zmq.Context[zmq.Socket[bytes]]"
-) -> None:
-    mujoco = pytest.importorskip("mujoco")
-    ours = adapter("mujoco_tactile")
-    model = mujoco.MjModel.from_xml_string(PRESS)
-    data = mujoco.MjData(model)
-    (tmp_path / "skin.csv").write_text(ours.layout(model, "skin"), encoding="ascii")
-    skin = layouts.read(str(tmp_path / "skin.csv"))
-    with context.socket(zmq.PUB) as to:
-        to.bind(ear.endpoint)
-        ear.frame(lambda: ours.send(data, "skin", to))
-        for depth_m in (-0.01, 0.001, 0.003):
-            data.qpos[0] = 0.05 + 0.022 - depth_m
-            mujoco.mj_forward(model, data)
-            t = 1.0 + depth_m
-            while (frame := ear.frame(lambda t=t: ours.send(data, "skin", to, t))).t != t:
-                pass
-            z = (np.array(frame.counts) - REST) / FULL
-            assert len(z) == len(skin)
-            assert z.max() == pytest.approx(max(depth_m, 0.0) / 0.005, abs=0.1)
-    pressed = (
-        skin.position_m[z.argmax()] @ skin.frame[:3, :3]
-    )  # in the mesh's frame, but its origin
-    middle = skin.position_m.mean(axis=0) @ skin.frame[:3, :3]
-    assert (pressed - middle)[0] == pytest.approx(0.05, abs=0.005)
 
 
 def test_xelas_server_gives_the_z_of_all_sensors_in_their_order(ear: Ear) -> None:

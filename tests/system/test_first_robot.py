@@ -7,9 +7,11 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 import zmq
 
@@ -113,13 +115,15 @@ def following(ran: subprocess.CompletedProcess[str]) -> str:
 SMALL = layouts.load("wrap:modules=8,radius_m=0.03")
 
 
+@pytest.mark.parametrize("own", [True, False], ids=["of modules", "of an array"])
 def test_from_a_layout_to_a_graded_run_each_command_is_printed_by_the_one_before(
-    place: Path, tmp_path: Path
+    place: Path, tmp_path: Path, own: bool
 ) -> None:
     """With a mesh in place of MESH. The run is on the fake clock."""
     shutil.copy(place / "bracket.stl", tmp_path)
     (tmp_path / "bin").symlink_to(place / "bin")
-    (tmp_path / "my skin.csv").write_text(table_of(SMALL), encoding="ascii")
+    numbered = replace(SMALL, uid=SMALL.uid if own else np.arange(1001, 1001 + len(SMALL)))
+    (tmp_path / "my skin.csv").write_text(table_of(numbered, uid=True), encoding="ascii")
     looked = following(follow("taxeld layout 'my skin.csv'", tmp_path))
     build = following(follow(looked.replace("MESH", "bracket.stl"), tmp_path))
     assert "--table" in build
@@ -131,12 +135,12 @@ def test_from_a_layout_to_a_graded_run_each_command_is_printed_by_the_one_before
     init = said[-1].removeprefix("next: ")
     for command in (
         f"{said[-2].removeprefix('see it: ')} --save seen.rrd",
-        init.replace("can:can0", "can:nothing0"),
+        init.replace("can:can0", "can:nothing0" if own else "array:ipc:///nowhere"),
     ):
         done = follow(command, tmp_path)
         assert done.returncode == 0, done.stderr
     checked = follow("taxeld check robot.toml", tmp_path).stderr.splitlines()
-    assert [line.partition(":")[0] for line in checked] == ["source.channel"], checked
+    assert [line.partition(":")[0] for line in checked] == ["source.channel"] * own, checked
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
