@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from taxeld.errors import SetupError
 
@@ -37,9 +37,12 @@ def lines(rules: Iterable[Rule]) -> Iterator[str]:
             yield from _wrapped(rule.cure, INDENT + " " * 13 + "→ ", INDENT + " " * 15)
 
 
-def as_json(rules: Iterable[Rule]) -> list[dict[str, Any]]:
-    """The table for programs."""
-    return [rule._asdict() for rule in rules]
+def at_least(
+    check: str, what: str, value: float, least: float, cure: str, form: str = ".0f"
+) -> Rule:
+    """The rule that a value is as large as that; `form`: how both are written."""
+    limit = f"at least {least:{form}}"
+    return Rule(check, what, f"{value:{form}}", limit, bool(value >= least), cure)
 
 
 def require(rules: Iterable[Rule], command: str) -> None:

@@ -64,11 +64,6 @@ def counts(**given: Any) -> Make:
     return lambda: received(scans_of(**given))
 
 
-def fixed(*faults: tuple[int, int, int]) -> Make:
-    """Taxels (SUI, name) that read some counts whatever happens."""
-    return counts(fixed={(sui, name): value for sui, name, value in faults})
-
-
 def noise(channels: slice | list[int] | int, sd: float) -> Make:
     each = np.full(sum(m.channels for m in MODULES), 34.0)
     each[channels] = sd
@@ -146,10 +141,10 @@ FAULTS: list[tuple[str, str, Make]] = [
     ),
     ("rate hub 1", "80.0 ms → ask for fewer", times(1000.0 + 1.6 * (TIMES - 1000.0))),
     ("rate hub 1", "25.0 ms → stop any other host", times(1000.0 + 0.5 * (TIMES - 1000.0))),
-    (EVENNESS, "14.0 ms off", times(TIMES + 0.014 * (np.arange(SCANS) % 7 == 0))),
+    (EVENNESS, "within 14.0 ms", times(TIMES + 0.014 * (np.arange(SCANS) % 7 == 0))),
     (MISSED, "10 of 300 scans", times(np.delete(TIMES, range(30, 130, 10)))),
     (MISSED, "149 of 299", times(TIMES[:150], TIMES[-1])),
-    ("rate whole scans of hub 1", "fewer than 10", times(TIMES[:5])),
+    ("rate whole scans of hub 1", "5 → see the link", times(TIMES[:5])),
     (DAMAGE, "crc_errors 1 → check the bus's ends", link(crc_errors=1)),
     (DAMAGE, "length_errors 2", link(length_errors=2)),
     (DAMAGE, "index_errors 3 → two hubs may share a short id", link(index_errors=3)),
@@ -163,13 +158,18 @@ FAULTS: list[tuple[str, str, Make]] = [
     ("taxels noisy", "T5 of module 1 (hub 1, position 0), noise", noise(5, 500.0)),
     ("taxels noisy", "the whole module: T1, T2", noise(slice(12, 22), 500.0)),
     ("taxels noisy", "T9, T10 of module 4", noise(ALL_TAXELS, 1500.0)),
-    ("taxels dead", "T4 of module 3 (hub 1, position 2)", fixed((3, 4, 0))),
-    ("taxels dead", "T2, T7 of module 1", fixed((1, 2, 0), (1, 7, 0))),
-    ("taxels dead", "the whole module: T1", fixed(*((2, name, 0) for name in range(1, 11)))),
-    ("taxels saturated", "T1 of module 4", fixed((4, 1, 43_000))),
-    ("taxels stuck", "T10 of module 4", fixed((4, 10, 10_123))),
-    ("temperature 0, or 43000 and more", "T0 of module 2 (hub 1, position 1)", fixed((2, 0, 0))),
-    ("temperature 0, or 43000 and more", "T0 of module 2", fixed((2, 0, 0xFFFF))),
+    ("taxels noisy", "T5 of module 1 (hub 1, position 0), without a baseline", noise(5, 2500.0)),
+    ("taxels dead", "T4 of module 3 (hub 1, position 2)", counts(fixed={(3, 4): 0})),
+    ("taxels dead", "T2, T7 of module 1", counts(fixed={(1, 2): 0, (1, 7): 0})),
+    ("taxels dead", "the whole module: T1", counts(fixed={(2, k): 0 for k in range(1, 11)})),
+    ("taxels saturated", "T1 of module 4", counts(fixed={(4, 1): 43_000})),
+    ("taxels stuck", "T10 of module 4", counts(fixed={(4, 10): 10_123})),
+    (
+        "temperature 0, or 43000 and more",
+        "T0 of module 2 (hub 1, position 1)",
+        counts(fixed={(2, 0): 0}),
+    ),
+    ("temperature 0, or 43000 and more", "T0 of module 2", counts(fixed={(2, 0): 0xFFFF})),
     ("temperature jumps within a second", "T0 of module 1 (hub 1, position 0): ", jumping_t0),
     ("press answers", "; modules 2 and 4 are swapped →", presses(1, 4, 3, 2)),
     ("press answers", "module 2 answered for 1; module 3 answered", presses(2, 3, 1, 4)),

@@ -24,7 +24,7 @@ from taxeld.source.sources import Source
 from taxeld_hil.acceptance.checks import rules
 from taxeld_hil.acceptance.press import pressed_by_hand
 from taxeld_hil.acceptance.received import Received, Say, receive
-from taxeld_hil.rules import Rule, as_json, failed, lines
+from taxeld_hil.rules import Rule, failed, lines
 
 SECONDS_MIN = 5.0  # 100 scans at the usual rate
 SECONDS_MAX = 600.0  # all scans are held
@@ -115,7 +115,7 @@ def report(target: str, when: str, got: Received, found: Sequence[Rule]) -> dict
         "layout": {"name": got.layout.name, "digest": got.layout.digest},
         "period_ms": got.period_ms,
         "full_scale_counts": got.full_scale_counts,
-        "rules": as_json(found),
+        "rules": [rule._asdict() for rule in found],
         "taxels": [
             {"uid": uid}
             | {k: round(float(c[i]), 4) if np.isfinite(c[i]) else None for k, c in columns.items()}

@@ -12,7 +12,7 @@ from taxeld.skin.rest import FROZEN_SCANS, NOISE_TELLS
 from taxeld.skin.skin import INVALID_FROM
 from taxeld.source.bus_faults import NORMAL, BusFault
 from taxeld_hil.acceptance.received import INVALID, STANDS_OUT, Received
-from taxeld_hil.rules import Rule
+from taxeld_hil.rules import Rule, at_least
 from taxeld_protocol.array import Group
 from taxeld_protocol.decoder import GAP_SHARE
 from taxeld_protocol.modules import NAMES, Module, wired
@@ -83,10 +83,8 @@ def discovery(got: Received) -> Iterator[Rule]:
             unknown.append(f"hub {hub} told nothing {where}")
         elif not any(scan.ihb == hub for scan in got.scans) and not any(m.fault for m in table):
             silent.append(f"hub {hub}")
+    parts += [f"hub {hub}: {versions}" for hub, versions in got.firmware.items()]
     yield Rule("discovery", "hubs", "; ".join(parts), "any")
-    if got.firmware:
-        said = "; ".join(f"hub {hub}: {versions}" for hub, versions in got.firmware.items())
-        yield Rule("discovery", "firmware", said)
     yield _none("discovery", "without a module's details", unknown, SPI)
     yield _none("discovery", "sent no scan after auto sync", silent, cure or FIRMWARE)
 
@@ -100,20 +98,17 @@ def modules(got: Received) -> Iterator[Rule]:
         yield Rule("modules", "of the layout", "no module is known", "all", None)
         return
     missing, unexpected = sorted(layout.keys() - found), sorted(found.keys() - layout)
-    said = f"{len(layout) - len(missing)} of {len(layout)} answered"
+    answered = f"{len(layout) - len(missing)} of {len(layout)} answered"
     if missing:
         unread = sum(layout[sui].channels - 1 for sui in missing)  # without T0
-        said += f"; {_listed(missing)} did not, so {unread} taxels are not read"
-    yield Rule("modules", "of the layout", said, "all", not missing, f"{SPI}; else {LAYOUT}")
+        answered += f"; {_listed(missing)} did not, so {unread} taxels are not read"
+    yield Rule("modules", "of the layout", answered, "all", not missing, f"{SPI}; else {LAYOUT}")
     yield _none("modules", "not in the layout", [*map(got.module, unexpected)], LAYOUT)
     times = Counter(m.sui for m in connected)
     twice = [f"{got.module(sui)}, {times[sui]} times" for sui in found if times[sui] > 1]
     yield _none("modules", "with one serial number", twice, "give each its own number")
-    other = [
-        f"{got.module(sui)} {said}"
-        for sui, module in found.items()
-        if (said := module.fault or _other(layout.get(sui, module), module))
-    ]
+    said = {i: m.fault or _other(layout.get(i, m), m) for i, m in found.items()}
+    other = [f"{got.module(sui)} {text}" for sui, text in said.items() if text]
     cure = (
         "do as said; set the module's mask (MODULE_SET_CUT_SENSORS; bit 0 is T0) and switch the "
         "hub off and on, or mark the taxels that it leaves out as cut in the layout"
@@ -143,8 +138,7 @@ def rate(got: Received) -> Iterator[Rule]:
         t = np.array([scan.t for scan in got.scans if scan.ihb == hub and scan.complete])
         if len(t) < SCANS_MIN:
             cure = "see the link, or give more --seconds"
-            few = f"fewer than {SCANS_MIN}"
-            yield Rule("rate", f"whole scans of hub {hub}", few, f"{SCANS_MIN}", False, cure)
+            yield at_least("rate", f"whole scans of hub {hub}", len(t), SCANS_MIN, cure)
             continue
         missed, period_ms, off_ms = _pace(t, got.span[1])
         due, most_ms = len(t) + missed, JITTER_OFF * period_ms
@@ -152,10 +146,10 @@ def rate(got: Received) -> Iterator[Rule]:
         every, limit = f"a scan every {period_ms:.1f} ms", f"{asked_ms} ms ± {RATE_OFF:.0%}"
         cure = FEWER if period_ms > asked_ms else HOST
         yield Rule("rate", f"hub {hub}", every, limit, is_right, cure)
-        said = f"99 % of the scans are at most {off_ms:.1f} ms off"
-        limit, is_even = f"{most_ms:.1f} ms", off_ms <= most_ms
+        said = f"99 % of the scans are within {off_ms:.1f} ms"
+        limit, is_even = f"at most {most_ms:.1f} ms", off_ms <= most_ms
         yield Rule("rate", f"evenness of hub {hub}", said, limit, is_even, BUSY)
-        said, limit = f"{missed} of {due} scans", f"{MISSED:.0%}, and those of damaged packets"
+        said, limit = f"{missed} of {due} scans", f"at most {MISSED:.0%}, and damaged packets"
         is_whole, cure = missed - explained <= MISSED * due, f"{FEWER}; else {BUSY}"
         yield Rule("rate", f"missed by hub {hub}", said, limit, is_whole, cure)
 
@@ -188,9 +182,7 @@ def link(got: Received) -> Iterator[Rule]:
     cure = f"check the bus's ends (120 Ω at both), its shield and its stubs; else {BUSY}"
     if damaged == count["index_errors"] > 0:
         cure = "two hubs may share a short id: connect one at a time, and switch it off and on"
-    yield Rule("link", "damage", said, f"{DAMAGED:.1%} of the packets", not bad, cure)
-    if others := _counted(count, ("unknown", "unsent", "refused")):
-        yield Rule("link", "beside these", others)
+    yield Rule("link", "damage", said, f"at most {DAMAGED:.1%} of the packets", not bad, cure)
 
 
 def _bus(count: Counter[str]) -> tuple[str, str]:
@@ -203,13 +195,14 @@ def _bus(count: Counter[str]) -> tuple[str, str]:
 def taxels(got: Received) -> Iterator[Rule]:
     """Each taxel reads something, varies a little, and is neither stuck nor saturated."""
     read = got.untouched
-    if read is None or not read.fine.any():
+    known = None if read is None else read.fine & ~np.isnan(read.level)
+    if read is None or known is None or not known.any():
         yield Rule("taxels", "at rest", "no taxel of the layout has a baseline", "", None)
         return
-    level, usual = read.level[read.fine], float(np.nanmedian(read.noise[read.fine]))
+    level, usual = read.level[known], float(np.median(read.noise[known]))
     said = (
-        f"{len(level)} of {len(got.layout)}, at {np.nanmin(level):.0f} to {np.nanmax(level):.0f} "
-        f"counts; noise {usual:.1f} counts (median)"
+        f"{len(level)} of {len(got.layout)}, at {level.min():.0f} to {level.max():.0f} counts; "
+        f"noise {usual:.1f} counts (median)"
     )
     if usual < NOISE_TELLS:
         said += ", so a stuck taxel looks like a quiet one: use --press"
@@ -224,10 +217,10 @@ def taxels(got: Received) -> Iterator[Rule]:
         "and keep motor cables away; a single taxel can be marked as cut in the layout"
     )
     limits = {
-        "saturated": (f"{INVALID_FROM} counts in {INVALID:.0%} of the scans", cure),
-        "dead": (f"0 in {INVALID:.0%} of the scans", cure),
-        "stuck": (f"{FROZEN_SCANS} scans without a count of change", cure),
-        "noisy": (f"{STANDS_OUT:g} times the median", ground),
+        "saturated": (f"at most {INVALID:.0%} of the scans at {INVALID_FROM} counts", cure),
+        "dead": (f"at most {INVALID:.0%} of the scans at 0", cure),
+        "stuck": (f"a change within {FROZEN_SCANS} scans", cure),
+        "noisy": (f"a baseline, and at most {STANDS_OUT:g} times the median", ground),
     }
     for fault, (limit, cure) in limits.items():
         bad = [*_by_module(got, read.faults[fault], read.noise)]
@@ -241,7 +234,9 @@ def _by_module(got: Received, bad: Bools, noise: Floats) -> Iterator[str]:
         own = bad & (serial == sui)
         names = _listed([f"T{name}" for name in sorted((uid[own] & 0xF).tolist())])
         whole = "the whole module: " if own.sum() == (serial == sui).sum() > 1 else ""
-        yield f"{whole}{names} of {got.module(sui)}, noise {noise[own].max():.0f} counts"
+        most = noise[own].max()
+        reads = f"noise {most:.0f} counts" if most >= 0.0 else "without a baseline"
+        yield f"{whole}{names} of {got.module(sui)}, {reads}"
 
 
 def temperature(got: Received) -> Iterator[Rule]:
@@ -262,7 +257,7 @@ def temperature(got: Received) -> Iterator[Rule]:
     invalid = [name for name, bad in zip(where, lost, strict=True) if bad]
     yield _none("temperature", f"0, or {INVALID_FROM} and more", invalid, cure)
     jumps = [f"{name}: {by:.0f} counts" for name, by in zip(where, step, strict=True) if by > most]
-    yield _none("temperature", "jumps within a second", jumps, cure, f"{most:.0f} counts")
+    yield _none("temperature", "jumps within a second", jumps, cure, f"at most {most:.0f} counts")
 
 
 def press(got: Received) -> Iterator[Rule]:
@@ -272,7 +267,10 @@ def press(got: Received) -> Iterator[Rule]:
         yield Rule("press", "modules", why, "", None)
         return
     full, answers = got.full_scale_counts, {p.asked: p.answered for p in got.presses}
-    wrong, strength = [], {p.asked: float(p.peak.max()) for p in got.presses if p.answered}
+    wrong, strength = (
+        [],
+        {p.asked: float(p.peak.max()) for p in got.presses if p.answered is not None},
+    )
     for asked, answered in answers.items():
         if answered is None:
             wrong.append(f"{got.module(asked)} felt nothing")
@@ -298,7 +296,7 @@ def press(got: Received) -> Iterator[Rule]:
         "press harder and run once more; if it stays so, set skin.full_scale_counts of the daemon "
         "to what a firm press reads, or see whether the dielectric has hardened"
     )
-    yield Rule("press", "strength", said, f"{WEAK:.0%} of full scale", not weak, cure)
+    yield Rule("press", "strength", said, f"at least {WEAK:.0%} of full scale", not weak, cure)
 
 
 def _none(check: str, what: str, found: Sequence[str], cure: str, limit: str = "none") -> Rule:

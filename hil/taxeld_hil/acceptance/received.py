@@ -91,13 +91,13 @@ class Received:
             "dead": heard & (over <= often) & (unread - over > often),
             "stuck": is_stuck,
         }
-        fine = heard & ~np.any([*faults.values()], axis=0)
+        fine, unknown = heard & ~np.any([*faults.values()], axis=0), np.isnan(state.baseline)
+        noise, usual = np.where(unknown, np.nan, state.noise), state.noise[fine & ~unknown]
         # noise under which the daemon's threshold is the same for all taxels does not matter
         limit = FLOOR * self.full_scale_counts / config.threshold_sigmas
-        if fine.any():
-            limit = max(limit, STANDS_OUT * float(np.median(state.noise[fine])))
-        faults["noisy"] = fine & (np.isnan(state.baseline) | (state.noise > limit))
-        return Untouched(skin, state.baseline, state.noise, np.array(t0), fine, faults)
+        limit = max(limit, STANDS_OUT * float(np.median(usual)) if len(usual) else 0.0)
+        faults["noisy"] = fine & (unknown | (noise > limit))
+        return Untouched(skin, state.baseline, noise, np.array(t0), fine, faults)
 
     def module(self, sui: int) -> str:
         """A module's serial number, and where on which hub it is."""

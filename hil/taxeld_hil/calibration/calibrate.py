@@ -19,7 +19,7 @@ from taxeld.source import session
 from taxeld_hil.calibration.fit import SEARCHED, CalibrationFit, FitResult, Start, likeliest, seen
 from taxeld_hil.calibration.observer import Observer, uncalibrated
 from taxeld_hil.calibration.presses import Presses
-from taxeld_hil.rules import Rule, require
+from taxeld_hil.rules import Rule, at_least, require
 
 LEAST_IDLE_S = 10.0
 ROUNDING_SD = 1.0 / np.sqrt(12.0)  # counts: of whole counts, whatever else the noise is
@@ -68,10 +68,9 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
         observer.on_outcome(outcome)
     (presses, unheld), idle_s = observer.presses.found(), observer.idle_s
     model, skin, estimate = observer.model, observer.pipeline.skin, observer.pipeline.estimate
-    said, limit, cure = f"{idle_s:.0f} s", f"{LEAST_IDLE_S:.0f} s", "touch nothing in that time"
-    is_long = idle_s >= LEAST_IDLE_S
-    untouched = Rule("rest", "untouched at first", said, limit, is_long, cure)
-    require([untouched, *press_rules(model, presses, unheld)], "calibrate")
+    what, cure = "seconds untouched at first", "touch nothing in that time"
+    untouched = at_least("rest", what, idle_s, LEAST_IDLE_S, cure)
+    require([untouched, *press_rules(model, presses)], "calibrate")
     if given := placed is not None:
         where = placed
     elif estimate.status in (Status.CONVERGED, Status.AMBIGUOUS):
@@ -115,7 +114,8 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
         untouched,
         Rule("rest", "noise", at_rest),
         Rule("rest", "stuck", ", ".join(map(str, np.flatnonzero(stuck))) or "none"),
-        *press_rules(model, presses, unheld),
+        *press_rules(model, presses),
+        Rule("presses", "not held still", f"{unheld}"),
         *fit_rules(fit, presses, given=given),
         *_values(calibration, fit, given=given),
     ]
@@ -137,16 +137,14 @@ def fitted(
     return fit
 
 
-def press_rules(model: ObservationModel, presses: Presses, unheld: int = 0) -> list[Rule]:
-    """Rules on presses, of which so many more were not held still."""
-    felt, taken = len(np.unique(sides(model, presses))), int(covered(model).sum())
-    least, said = min(LEAST_SIDES, taken), f"{len(presses)}" + f", {unheld} not" * bool(unheld)
+def press_rules(model: ObservationModel, presses: Presses) -> list[Rule]:
+    """Rules on presses alone."""
+    felt, least = len(np.unique(sides(model, presses))), min(LEAST_SIDES, covered(model).sum())
     more = "press the object more often, and hold each press still for a second"
     turn = "turn the sensor about its axis between presses"
-    is_many, is_round = len(presses) >= LEAST_PRESSES, felt >= least
     return [
-        Rule("presses", "held still", said, f"{LEAST_PRESSES}", is_many, more),
-        Rule("presses", "sides of the skin", f"{felt}", f"{least}", is_round, turn),
+        at_least("presses", "held still", len(presses), LEAST_PRESSES, more),
+        at_least("presses", "sides of the skin", felt, least, turn),
     ]
 
 
@@ -186,7 +184,7 @@ def fit_rules(fit: FitResult, presses: Presses, *, given: bool) -> list[Rule]:
     is_known = bool((sd <= KNOWN_MOUNT).all())
     said, limit = f"± {_pose(sd)}", f"± {_pose(KNOWN_MOUNT)}"
     return [
-        Rule("fit", "left over", f"{left:.2f} of what may be", "1", left <= 1.0, check),
+        Rule("fit", "left over", f"{left:.2f} of what may be", "at most 1", left <= 1.0, check),
         Rule("fit", "mount", f"{_pose(fit.value.mount)} {said}", limit, is_known, more),
     ]
 

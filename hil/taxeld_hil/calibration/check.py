@@ -20,7 +20,7 @@ from taxeld.model import se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.response import deviation
-from taxeld_hil.rules import Rule, require
+from taxeld_hil.rules import Rule, at_least, require
 
 LEAST_TOUCHES = 5
 FELT = 0.1  # share of full scale: noise and foam's residue touch more lightly
@@ -52,10 +52,10 @@ def of_session(directory: Path, config: Config) -> list[Rule]:
             before = touches.get(number)
             if before is None or used.z.sum() > before.z.sum():
                 touches[number] = used
-    estimate, n, cure = pipeline.estimate, len(touches), "touch the object from more sides"
+    estimate, cure = pipeline.estimate, "touch the object from more sides"
     found = [
-        Rule("touches", "touches", f"{n}", f"{LEAST_TOUCHES}", n >= LEAST_TOUCHES, cure),
-        Rule("touches", "p", f"{estimate.p:.0%}", f"{LEAST_P:.0%}", estimate.p >= LEAST_P, cure),
+        at_least("touches", "touches", len(touches), LEAST_TOUCHES, cure),
+        at_least("touches", "p", estimate.p, LEAST_P, cure, ".0%"),
     ]
     require(found, str(directory))
     model = pipeline.estimator.known[estimate.object].model
