@@ -8,12 +8,13 @@ from typing import Any
 
 import pytest
 
+from taxeld_hil.cli import main as harness
+from taxeld_hil.trials import play
 from taxeld_hil.trials.case import Case, Method
-from taxeld_hil.trials.play import play
 from taxeld_hil.world.subjects import Subject
 from taxeld_training.cli import main
 from taxeld_training.trials import limit, questions, run, samplers
-from taxeld_training.trials.questions import Asked
+from taxeld_training.trials.questions import Selection
 from taxeld_training.trials.run import Workers
 
 from .rig import RING, written_at
@@ -58,6 +59,22 @@ def test_an_answer_goes_on_where_it_was_cut_and_more_seeds_add_to_it(
     assert jobs.items() <= written_at(tmp_path / "memory").items()
 
 
+def test_expect_and_works_print_the_same_figures_of_the_same_trials(
+    block: Path, tmp_path: Path
+) -> None:
+    place = ["--out", tmp_path / "told", "--memory", tmp_path / "other", "--workers", "1"]
+    what = ["--object", block, "--layout", RING, "--foam", "typical", "--seeds", "2"]
+    assert harness(["expect", *map(str, (*what, *place))]) == 0
+    told = json.loads((tmp_path / "told" / "expect.json").read_text("utf-8"))["touches"]
+    more = ("works", "--layout", RING, "--cells", "typical", "--seeds", "2")
+    (row,) = (row for row in asked(tmp_path, block, *more)["works"] if "object" in row["of"])
+    for key, figures in (("found", "found"), ("found_and_sure", "found_and_sure")):
+        assert [each[key] * 2 for each in told] == row[figures]
+    assert [each["misleading"] * 2 for each in told] == row["misleading_at"]
+    medians = [each["median_mm"] for each in told]
+    assert medians == pytest.approx(row["median_mm"], abs=0.011)  # both are rounded
+
+
 def test_charts_stand_beside_the_rows(block: Path, tmp_path: Path) -> None:
     rows = asked(tmp_path, block, "map", "--cells", "exact,another object", "--seeds", "1")["map"]
     assert {row["of"].get("cell") for row in rows} >= {"exact", "another object"}
@@ -69,7 +86,7 @@ def test_charts_stand_beside_the_rows(block: Path, tmp_path: Path) -> None:
 
 def test_the_grid_meets_the_trials_of_what_ships_and_looks_once(block: Path) -> None:
     case = Case((Subject(str(block)),), layouts=(RING,), touches=2)
-    ours, grid = play(case, 1), limit.play(replace(case, method=Method("grid")), 1)
+    ours, grid = play.play(case, 1), limit.play(replace(case, method=Method("grid")), 1)
     assert len(ours) == len(grid) == 2
     assert math.isnan(grid[0].error_mm)
     assert math.isfinite(grid[1].error_mm)
@@ -85,7 +102,7 @@ def test_samplers_are_trained_once_and_measured_by_the_exact_posterior(
     few = replace(paper, network=replace(paper.network, steps=2))  # 100 are slow to export
     monkeypatch.setitem(samplers.LEARNED, "paper", few)
     question = replace(
-        questions.load("samplers", Asked(quick=True, objects=(str(block),))),
+        questions.load("samplers", Selection(quick=True, objects=(str(block),))),
         columns=(8,),
         proposals=("table", "paper"),
         effort=0.001,
@@ -98,11 +115,11 @@ def test_samplers_are_trained_once_and_measured_by_the_exact_posterior(
     assert samplers.rows(question, tmp_path, workers.run) == rows
     assert written_at(tmp_path) == before
     next(tmp_path.glob("*.onnx")).unlink()  # a model that is lost is trained again
-    only = Asked(only=("as published",))
+    only = Selection(only=("as published",))
     cells = [
         replace(cell, case=replace(cell.case, layouts=(samplers.RING.format(8),), touches=1))
         for cell in questions.cells(question, only)
     ]
-    (played,) = run.run(question, cells, Asked(seeds=(3,)), workers)
+    (played,) = run.run(question, cells, Selection(seeds=(3,)), workers)
     assert math.isfinite(played.trials[0][0].error_mm)
     assert len(list(tmp_path.glob("*.onnx"))) == 1

@@ -7,17 +7,17 @@ import pytest
 
 from taxeld_training.cli import QUESTIONS, main
 from taxeld_training.trials import questions
-from taxeld_training.trials.questions import Asked, Cell
+from taxeld_training.trials.questions import Cell, Selection
 from tests.rig.commands import refused
 
 BOX, MUG = questions.listed("two")
 OTHER = "cylinder:rows=2,columns=8,radius_m=0.05,pitch_m=0.015"
 
 
-ALL = Asked()
+ALL = Selection()
 
 
-def cells(name: str, asked: Asked = ALL) -> list[Cell]:
+def cells(name: str, asked: Selection = ALL) -> list[Cell]:
     return questions.cells(questions.load(name, asked), asked)
 
 
@@ -57,7 +57,9 @@ def test_what_the_filter_was_tuned_on_is_fixed() -> None:
         "pitch",
         "radius",
     }
-    assert all("not tuned" in c.labels["part"] for c in cells("map", Asked(objects=("016_pear",))))
+    assert all(
+        "not tuned" in c.labels["part"] for c in cells("map", Selection(objects=("016_pear",)))
+    )
     wrong = [c for c in cells("map") if c.case.touched]
     assert all("another object" in c.labels["part"] for c in wrong)
     assert not any("soft skin" in c.labels["part"] for c in wrong)
@@ -75,28 +77,28 @@ def test_cells_are_named_whole_or_by_their_first_word(
     only: tuple[str, ...], found: set[str]
 ) -> None:
     for quick in (False, True):  # what is named is run, quick or not
-        assert {c.labels["cell"] for c in cells("map", Asked(quick, only=only))} == found
+        assert {c.labels["cell"] for c in cells("map", Selection(quick, only=only))} == found
 
 
 def test_methods_and_guides_are_chosen_beside_cells() -> None:
-    some = cells("whole", Asked(only=("density", "table 25")))
+    some = cells("whole", Selection(only=("density", "table 25")))
     assert {c.labels["method"] for c in some} == {"density", "table 25"}
-    some = cells("advice", Asked(only=("advised", "typical")))
+    some = cells("advice", Selection(only=("advised", "typical")))
     assert {(c.labels["guide"], c.labels["cell"]) for c in some} == {("advised", "typical")}
 
 
 def test_a_layout_has_a_cell_on_each_foam_and_stands_alone_unless_own_is_asked_for() -> None:
-    names = [f"{OTHER}, {foam}" for foam in ("exact", "typical", "poor")]
-    alone = cells("works", Asked(objects=(MUG,), layouts=(OTHER,)))
+    names = [f"{foam} on {OTHER}" for foam in ("exact", "typical", "poor")]
+    alone = cells("works", Selection(objects=(MUG,), layouts=(OTHER,)))
     assert [c.labels["cell"] for c in alone] == names
     assert all(c.case.layouts == (OTHER,) for c in alone)
-    both = cells("works", Asked(objects=(MUG,), layouts=("", OTHER)))
+    both = cells("works", Selection(objects=(MUG,), layouts=("", OTHER)))
     assert [c.labels["cell"] for c in both][-3:] == names
     assert len(both) == 4 + 3
 
 
 def test_objects_of_ones_own_take_the_place_of_the_questions() -> None:
-    asked = Asked(objects=(BOX,))
+    asked = Selection(objects=(BOX,))
     assert {c.case.known[0].name for c in cells("map", asked)} == {BOX}  # no symmetric ones
     assert {len(c.case.known) for c in cells("which", asked)} == {1}
 
@@ -111,7 +113,8 @@ def test_objects_of_ones_own_take_the_place_of_the_questions() -> None:
         ("magic", f"QUESTION: no 'magic'; there are {QUESTIONS}"),
         ("works --objects 999_none", "999_none: no such YCB object"),
         ("map --cells noise,sniff", "--cells: no 'sniff' here; there are exact, typical, poor, "),
-        ("push --cells noise", "no 'noise' here; there are exact, table, push, push, none"),
+        ("push --cells noise", "no 'noise' here; there are exact, table, push, push, none, told"),
+        (f"map --cells moved --layout {OTHER}", "--layout: goes with the cells exact, typical, po"),
         ("works --seeds 9-8", "--seeds: must be a number of them, or FIRST-LAST, not '9-8'"),
         ("works --workers 0", "--workers must be at least 1"),
     ],

@@ -93,10 +93,10 @@ def _evaluate(args: argparse.Namespace) -> int:
     taxeld-train evaluate map --cells moved,robot --objects 025_mug --out results
     """
     from taxeld_training.trials import run
-    from taxeld_training.trials.questions import Asked, names
+    from taxeld_training.trials.questions import Selection, names
 
     layouts = tuple(options.layouts(args.layout))
-    asked = Asked(args.quick, _seeds(args.seeds), args.objects, args.cells, layouts)
+    asked = Selection(args.quick, _seeds(args.seeds), args.objects, args.cells, layouts)
     workers = run.Workers(args.workers, args.memory)
     for line in run.answer(args.question or names(), asked, workers, args.out):
         print(line, flush=True)

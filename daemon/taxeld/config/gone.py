@@ -32,7 +32,7 @@ GONE: dict[str, str] = {
     "taxeld-train evaluate reliability": "'evaluate map' has what p promises, part by part",
     "taxeld-train evaluate stability": "say 'evaluate map'",
     "taxeld-train evaluate recognise": "say 'evaluate which'",
-    "taxeld-train evaluate links": "'taxeld-hil expect' takes a layout for each link",
+    "taxeld-train evaluate links": "say 'evaluate map --cells \"two links\"'",
     "taxeld-train evaluate proposals": "say 'evaluate samplers'",
     "taxeld-train evaluate --columns": "a ring of 8 columns is --cells 'columns 8'",
     "taxeld-train evaluate --groups": NAMED,

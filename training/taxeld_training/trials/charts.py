@@ -50,7 +50,7 @@ def front(rows: Sequence[Row], path: Path) -> None:
         left.plot(x, y, "o", color=colour, ms=9 if name == SHIPS else 5)
         label = f"{name.removeprefix(SIZED)}" if is_sized else name
         label += " (ships)" * (name == SHIPS)
-        offset = {"xytext": (4, 4), "textcoords": "offset points"}
+        offset = {"xytext": (0, -11) if is_sized else (5, 4), "textcoords": "offset points"}
         left.annotate(label, (x, y), fontsize=7, color=colour, **offset)
     best: list[Row] = []
     for row in sorted(every, key=lambda row: row["ms"]):

@@ -35,7 +35,7 @@ class Question:
     objects: tuple[str, ...]
     cells: tuple[str, ...]
     by: tuple[tuple[str, ...], ...]  # kinds of labels; a row for each combination of their values
-    table: str = ""  # as `tables.text` has it
+    tables: tuple[str, ...] = ()  # that are printed, as `tables.text` has them
     charts: tuple[str, ...] = ()  # of `charts`
     methods: tuple[str, ...] = ("table",)
     guides: tuple[str, ...] = ("random",)
@@ -59,7 +59,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Selection:
     """What is wanted of all questions; empty is the question's own."""
 
     quick: bool = False
@@ -80,7 +80,7 @@ def names() -> list[str]:
     return [name for name, entry in table().items() if "says" in entry]
 
 
-def load(name: str, asked: Asked) -> Question:
+def load(name: str, asked: Selection) -> Question:
     """The question `name`, within what is asked.
 
     Raises:
@@ -104,7 +104,7 @@ def load(name: str, asked: Asked) -> Question:
         if not asked.only:
             given["cells"] = given["cells"][:QUICK_CELLS]
     for each in (*given["objects"], *given["strangers"]):
-        meshes.find(each)
+        meshes.find(Subject(each).mesh)
     return Question(name, **{key: _frozen(value) for key, value in given.items()})
 
 
@@ -113,19 +113,20 @@ def listed(name: str) -> tuple[str, ...]:
     return tuple(table()["objects"][name])
 
 
-def cells(question: Question, asked: Asked) -> list[Cell]:
+def cells(question: Question, asked: Selection) -> list[Cell]:
     """The trials of a question but for their seeds.
 
     Raises:
-        SetupError: `only` names what there is not.
+        SetupError: `only` names what there is not, or a layout has no cell.
     """
     kinds = {
-        "cell": _with_layouts(question, asked.layouts),
+        "cell": {name: dict(table()["cells"][name]) for name in question.cells},
         "method": {name: table()["methods"][name] for name in question.methods},
         "guide": {name: {} for name in question.guides},
         "motion": {name: {} for name in question.motions},
     }
     _choose(kinds, asked.only)
+    kinds["cell"] = _with_layouts(kinds["cell"], asked.layouts)
     found = []
     for cell, method, guide, motion in product(*kinds.values()):
         keys = kinds["cell"][cell]
@@ -186,15 +187,18 @@ def _subjects(
             yield labels(knows, "stranger", touched), all_known, subject(touched)
 
 
-def _with_layouts(question: Question, layouts: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The cells by name, each foam's on further layouts as well; without "" on those alone."""
-    own = {name: dict(table()["cells"][name]) for name in question.cells}
+def _with_layouts(
+    own: dict[str, dict[str, Any]], layouts: Sequence[str]
+) -> dict[str, dict[str, Any]]:
+    """Cells by name, those of a foam alone on other layouts as well; without "" only there."""
     found = own if "" in layouts else {}
     for layout in filter(None, layouts):
         for foam in FOAMS:
             if foam in own:
                 keys = own[foam] | {"layouts": [layout], "new": True}
-                found[f"{layout_name(layout)}, {foam}"] = keys
+                found[f"{foam} on {layout_name(layout)}"] = keys
+    if not found:
+        raise SetupError(f"--layout: goes with the cells {', '.join(FOAMS)}; name one of them")
     return found
 
 

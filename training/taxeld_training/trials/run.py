@@ -4,7 +4,6 @@ The jobs run side by side, here or on a cluster, and are remembered: a run that 
 on where it stopped, and one with more seeds adds to those that there are.
 """
 
-import hashlib
 import json
 import subprocess
 import sys
@@ -20,31 +19,14 @@ import torch
 from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
 from taxeld_hil.trials.case import Case
-from taxeld_hil.trials.play import Touch, play
+from taxeld_hil.trials.play import play
 from taxeld_training.trials import limit, questions, samplers, score, tables
-from taxeld_training.trials.questions import Asked, Cell, Question
+from taxeld_training.trials.questions import Cell, Question, Selection
 from taxeld_training.trials.score import Played
 
 BLOCK = 10  # seeds a job
 GRID_BLOCK = 2  # a trial of the grid takes seconds
-DECIDES = (  # code and bundles that decide the results of jobs
-    "taxeld/config/tables.py",
-    "taxeld/model/*.py",
-    "taxeld/skin/*.py",
-    "taxeld/proposals/*.py",
-    "taxeld/estimator/*.py",
-    "taxeld/advice/*.py",
-    "taxeld/pipeline/*.py",
-    "taxeld/bundles/*/bundle.json",  # each names the SHA-256 of all files beside it
-    "taxeld_hil/scenario/mesh_config.py",
-    "taxeld_hil/objects/*.py",
-    "taxeld_hil/world/*.py",
-    "taxeld_hil/trials/*.py",
-    "taxeld_training/models/*.py",
-    "taxeld_training/limits/*.py",
-    "taxeld_training/trials/limit.py",
-    "taxeld_training/trials/samplers.py",
-)
+LIMITS = "taxeld_training/limits/*.py", "taxeld_training/trials/limit.py"  # code of the grid
 
 
 class Workers(NamedTuple):
@@ -59,7 +41,7 @@ class Workers(NamedTuple):
         return jobs.run(todo, self.memory, workers=self.workers)
 
 
-def answer(names: Sequence[str], asked: Asked, workers: Workers, out: Path) -> Iterator[str]:
+def answer(names: Sequence[str], asked: Selection, workers: Workers, out: Path) -> Iterator[str]:
     """Lines: the table of each question, and the files that are written.
 
     Raises:
@@ -74,7 +56,7 @@ def answer(names: Sequence[str], asked: Asked, workers: Workers, out: Path) -> I
         given = {"question": question.says, **_made(question.name)}
         data = tables.write(out / f"{question.name}.json", given, rows)
         yield f"{question.name}: {question.says}"
-        yield tables.text(rows, question.table)
+        yield from (tables.text(rows, spec) + "\n" for spec in question.tables)
         yield str(data)
         yield str(_records(played, workers.memory / f"{question.name}.jsonl"))
         for name in question.charts:
@@ -84,7 +66,9 @@ def answer(names: Sequence[str], asked: Asked, workers: Workers, out: Path) -> I
             yield str(out / f"{name}.png")
 
 
-def run(question: Question, cells: Sequence[Cell], asked: Asked, workers: Workers) -> list[Played]:
+def run(
+    question: Question, cells: Sequence[Cell], asked: Selection, workers: Workers
+) -> list[Played]:
     """The trials of cells. Each has its first block of seeds before any has its second."""
     seeds = asked.seeds or tuple(range(question.seeds))
     each = (one for cell in cells for one in samplers.wanted(cell.case))
@@ -92,13 +76,13 @@ def run(question: Question, cells: Sequence[Cell], asked: Asked, workers: Worker
     todo = [list[Job]() for _ in cells]
     for cell, mine in zip(cells, todo, strict=True):
         case = cell.case
-        size = GRID_BLOCK if case.method.proposal == questions.GRID else BLOCK
+        is_grid = case.method.proposal == questions.GRID
+        size, code = (GRID_BLOCK, jobs.code(LIMITS)) if is_grid else (BLOCK, "")
         beside = tuple(files.get(one, "") for one in samplers.wanted(case))
-        digest = hashlib.sha256(repr(case).encode()).hexdigest()[:8]
         for first in range(0, len(seeds), size):
             block = seeds[first : first + size]
-            name = f"{cell.labels['object']} {case.method.proposal} {digest}-{block[0]}"
-            mine.append(Job(name, trials, (case, block), (beside,), jobs.code(DECIDES)))
+            name = f"{cell.labels['object']} by {case.method.proposal} {case.digest}-{block[0]}"
+            mine.append(Job(name, trials, (case, block), (beside,), case.digest + code))
     in_turn = [job for block in zip_longest(*todo) for job in block if job]
     done = workers.run(list({job.name: job for job in in_turn}.values()))
     return [
@@ -112,17 +96,7 @@ def trials(case: Case, seeds: Sequence[int], files: Sequence[str]) -> list[list[
     known = [replace(one, sampler=file) for one, file in zip(case.known, files, strict=True)]
     case = replace(case, known=tuple(known))
     follow = limit.play if case.method.proposal == questions.GRID else play
-    return [[_rounded(touch) for touch in follow(case, seed)] for seed in seeds]
-
-
-def _rounded(touch: Touch) -> list[Any]:
-    """The fields of a touch as JSON has them, without nan."""
-    fields = [[*map(_short, v)] if isinstance(v, tuple) else _short(v) for v in touch]
-    return list(score.without_nan(fields))
-
-
-def _short(value: Any) -> Any:
-    return float(f"{value:.6g}") if isinstance(value, float) else value
+    return [[score.without_nan(list(touch)) for touch in follow(case, seed)] for seed in seeds]
 
 
 def _records(played: Sequence[Played], path: Path) -> Path:

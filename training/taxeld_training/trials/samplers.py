@@ -7,7 +7,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from taxeld.config.tables import SkinConfig
 from taxeld.layout import read as layouts
 from taxeld.model.contacts import Proposal
 from taxeld.proposals.analytic import ANALYTIC
@@ -45,8 +44,7 @@ DECIDES = (  # code that decides how far samplers are from the exact posterior
 
 def wanted(case: Case) -> list[Wanted]:
     """The samplers that the known objects of a case need, in their order."""
-    skins = case.layouts or (SkinConfig().layout,)
-    return [(known, skins[:1], case.method.proposal) for known in case.known]
+    return [(known, case.specs[:1], case.method.proposal) for known in case.known]
 
 
 def files(each: Iterable[Wanted], effort: float, memory: Path, run: Run) -> dict[Wanted, str]:

@@ -205,6 +205,6 @@ def without_nan(value: Any) -> Any:
     """Figures as JSON holds them."""
     if isinstance(value, dict):
         return {key: without_nan(each) for key, each in value.items()}
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [without_nan(each) for each in value]
     return None if isinstance(value, float) and math.isnan(value) else value
