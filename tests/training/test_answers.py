@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from taxeld_hil.cli import main as harness
-from taxeld_hil.trials import play
 from taxeld_hil.trials.case import Case, Method
+from taxeld_hil.trials.play import play
 from taxeld_hil.world.subjects import Subject
 from taxeld_training.cli import main
 from taxeld_training.trials import limit, questions, run, samplers
@@ -75,6 +75,26 @@ def test_expect_and_works_print_the_same_figures_of_the_same_trials(
     assert medians == pytest.approx(row["median_mm"], abs=0.011)  # both are rounded
 
 
+def test_guides_are_compared_from_the_same_first_touch(block: Path, tmp_path: Path) -> None:
+    few = ("advice", "--cells", "exact,straight,advised", "--seeds", "1", "--layout", RING)
+    touches = asked(tmp_path, block, *few)["advice touches"]
+    of = {
+        name: [each for each in touches if each["guide"] == name]
+        for name in ("straight", "advised")
+    }
+    first, second = (each[0]["error_mm"] for each in of.values())
+    assert first == second
+    assert [len(each) for each in of.values()] == [8, 8]
+    assert all(each["guide_ms"] > 0.0 for each in of["advised"][1:])
+    assert not any(each["guide_ms"] for each in of["straight"])
+
+
+@pytest.mark.parametrize("motion", ["push", "none", "told"])
+def test_a_push_follows_its_touches_and_has_the_error_on_its_way(motion: str) -> None:
+    *before, last = play(Case((Subject("box"),), guide="push", motion=motion, touches=2), 1)
+    assert [math.isnan(touch.path_mm) for touch in (*before, last)] == [True, True, False]
+
+
 def test_charts_stand_beside_the_rows(block: Path, tmp_path: Path) -> None:
     rows = asked(tmp_path, block, "map", "--cells", "exact,another object", "--seeds", "1")["map"]
     assert {row["of"].get("cell") for row in rows} >= {"exact", "another object"}
@@ -86,7 +106,7 @@ def test_charts_stand_beside_the_rows(block: Path, tmp_path: Path) -> None:
 
 def test_the_grid_meets_the_trials_of_what_ships_and_looks_once(block: Path) -> None:
     case = Case((Subject(str(block)),), layouts=(RING,), touches=2)
-    ours, grid = play.play(case, 1), limit.play(replace(case, method=Method("grid")), 1)
+    ours, grid = play(case, 1), limit.play(replace(case, method=Method("grid")), 1)
     assert len(ours) == len(grid) == 2
     assert math.isnan(grid[0].error_mm)
     assert math.isfinite(grid[1].error_mm)

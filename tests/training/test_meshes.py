@@ -16,7 +16,7 @@ from taxeld.layout import read as layouts
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.cli import main
 from taxeld_training.objects.report import TURNS, doubts
-from taxeld_training.objects.setting import OBJECTS
+from taxeld_training.trials import questions
 from tests.rig.commands import printed, refused
 
 from .rig import PAPER_RING, THREE_ROWS, can, handle
@@ -256,7 +256,7 @@ def turned(mesh: trimesh.Trimesh, turn: np.ndarray) -> trimesh.Trimesh:
     return made
 
 
-@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.parametrize("name", questions.listed("ten"))
 def test_an_object_that_stands_is_not_doubted(name: str) -> None:
     assert doubts(loaded(name), PAPER, HEIGHT_M) == []
 

@@ -110,7 +110,8 @@ class World:
         ]
         for k, toucher in enumerate(self._touchers):
             toucher.begin(self.truth, len(range(k, touches, len(self.links))), self.twin)
-        for _ in range(touches if guide in PLANNED else 0):
+        self._is_planned = guide in PLANNED
+        for _ in range(touches if self._is_planned else 0):
             self.touch()
         self._take_paths()
 
@@ -140,7 +141,7 @@ class World:
                 self._places += zip(times, (place, after), strict=True)
         self.touches += 1
         self._now = toucher.robot.now
-        if approach is not None:
+        if not self._is_planned:
             self._take_paths()
 
     def push(self) -> None:

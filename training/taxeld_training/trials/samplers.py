@@ -19,8 +19,9 @@ from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.variants import Variant
+from taxeld_training.samplers.candidates import interval
 from taxeld_training.trials.questions import Question
-from taxeld_training.trials.statistics import of_mean, rounded
+from taxeld_training.trials.statistics import rounded
 
 Row: TypeAlias = dict[str, Any]
 Wanted: TypeAlias = tuple[Subject, tuple[str, ...], str]  # an object, a skin, a proposal
@@ -123,7 +124,7 @@ def distances(
         found[name] = {
             "readings": len(off),
             "distance": round(float(off.mean()), 5),
-            "ci": {"distance": rounded(of_mean([off], rng), 5)},
+            "ci": {"distance": rounded(interval(off), 5)},
             "floor": round(to.floor, 5),
             "ms": round(quality.cost_ms(proposal, to, rng), 3),
         }

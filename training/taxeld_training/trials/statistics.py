@@ -14,17 +14,6 @@ DRAWS = 400  # draws of a bootstrap
 Interval = tuple[float, float]
 
 
-def of_mean(groups: Sequence[ArrayLike], rng: np.random.Generator) -> Interval:
-    """Interval of the mean of the means of groups of values (n,), such as the readings of an object
-    each: a group's values are drawn anew among themselves (bootstrap)."""
-    drawn = np.zeros(DRAWS)
-    for group in groups:
-        given = np.asarray(group, dtype=np.float64)
-        pick = rng.integers(len(given), size=(DRAWS, len(given)))
-        drawn += given[pick].mean(axis=1) / len(groups)
-    return _ends(drawn)
-
-
 def of_count(count: int, total: int) -> Interval:
     """Interval (Wilson) of the share that `count` of `total` trials are: not empty where none, or
     all, are."""
