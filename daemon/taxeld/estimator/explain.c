@@ -40,7 +40,7 @@ typedef struct {
     double band, hidden, robust;  /* BAND_M, HIDDEN and ROBUST */
     double least_variance, iterations;
     double outliers, least, farthest, bowling1, bowling3;  /* of `Noise` */
-    double least_rate, farthest_rates;  /* of sag.py */
+    double least_rate, farthest_rates;  /* LEAST_RATE and FARTHEST_RATES of response.py */
 } Model;
 
 typedef struct {
@@ -132,7 +132,7 @@ INLINE void look_up(
     }
 }
 
-/* `sagging` of sag.py */
+/* `sagging` of response.py */
 INLINE float sagging(float depth, float rate, float farthest)
 {
     float below = within(depth / rate - 1.0f, -farthest, 0.0f);
