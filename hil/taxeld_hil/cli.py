@@ -7,21 +7,24 @@ import sys
 import tempfile
 import textwrap
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from taxeld import command_line
 from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_hil.experiment import cli as measurements
+from taxeld_hil import options
 from taxeld_hil.scenario.mesh_config import FOAMS
 
 if TYPE_CHECKING:
+    from taxeld_hil.jobs import Job
     from taxeld_hil.scenario.scenario import Scenario
 
+MATRIX_OBJECTS, MATRIX_FOAMS = ("box", "mug"), ("scene", "typical", "poor")
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parent / "scenarios").glob("*.toml"))
 
 _say = partial(print, flush=True)
@@ -118,6 +121,76 @@ def _accept(args: argparse.Namespace) -> int:
     return 0 if passed else 1
 
 
+def _expect(args: argparse.Namespace) -> int:
+    """Say how well an object will be found with a skin, before it is bought.
+
+    taxeld-hil expect --object box --layout skin.json
+    taxeld-hil expect --object bracket.stl --layout skin.json --foam poor --robot-mm 2
+    """
+    from taxeld_hil.experiment import expect
+    from taxeld_hil.world.conditions import Conditions
+    from taxeld_hil.world.subjects import Subject
+
+    for option, value in (("--seeds", args.seeds), ("--touches", args.touches)):
+        if value < 1:
+            raise SetupError(f"{option} must be at least 1")
+    depth_m = None if args.depth_mm is None else 1e-3 * args.depth_mm
+    subject = Subject(args.object, height_m=args.height_m, depth_m=depth_m)
+    given = Conditions(foam=args.foam, robot_m=1e-3 * args.robot_mm, robot_told=True)
+    made = expect.cases(subject, args.layout, given, args.touches, args.memory / "expect")
+    runs = _done(expect.jobs(made, args.seeds), args, expect.described)
+    _say("\n".join(expect.written(made[expect.AS_IS], runs, args.out)))
+    return 0
+
+
+def _matrix(args: argparse.Namespace) -> int:
+    """Run scenarios on several objects and skins, seed by seed.
+
+    taxeld-hil matrix demo --seeds 2 --out matrix
+    """
+    from taxeld_hil.experiment import matrix, measurement
+    from taxeld_hil.scenario import scenario as scenarios
+
+    names = args.scenario or list(scenarios.shipped())
+    objects, foams = args.object or MATRIX_OBJECTS, args.foam or MATRIX_FOAMS
+    layouts = options.layouts(args.layout)
+    todo = matrix.jobs(names, objects, foams, args.seeds, layouts)
+    runs = _done(todo, args, matrix.described)
+    measurement.save(args.out / "scenarios.json", runs)
+    _say("\n".join(matrix.lines(runs)))
+    return 0 if all(run["passed"] for run in runs) else 1
+
+
+def _soak(args: argparse.Namespace) -> int:
+    """Run random faults for hours, on one daemon for each layout.
+
+    taxeld-hil soak --hours 2
+    taxeld-hil soak --real-minutes 10
+    """
+    from taxeld_hil.experiment import measurement, soak
+    from taxeld_hil.scenario import scenario as scenarios
+
+    base = scenarios.load(args.scenario).touching(args.object)
+    subjects = [base.on(args.foam, layout) for layout in options.layouts(args.layout)]
+    real = args.real_minutes is not None
+    hours = args.real_minutes / 60.0 if real else args.hours
+    args.workers = 1 if real else args.workers
+    runs = _done(soak.jobs(subjects, args.seed, hours, real=real), args, soak.described)
+    measurement.save(args.out, runs)
+    _say("\n".join(map(soak.described, runs)))
+    return 0 if all(map(soak.passed, runs)) else 1
+
+
+def _done(
+    todo: "list[Job]", args: argparse.Namespace, describe: Callable[[Any], str]
+) -> list[dict[str, Any]]:
+    """The results of jobs, in their order."""
+    from taxeld_hil import jobs
+
+    done = jobs.run(todo, args.memory, workers=args.workers, describe=describe)
+    return [done[job.name] for job in todo]
+
+
 def _emulate(args: argparse.Namespace) -> int:
     """Run the virtual skin and robot alone, for a daemon of yours.
 
@@ -160,7 +233,9 @@ def _parser() -> argparse.ArgumentParser:
     add = partial(command_line.documented, commands)
     _of_run(add(_run))
     _of_accept(add(_accept))
-    measurements.add(commands)
+    _of_expect(add(_expect))
+    _of_matrix(add(_matrix))
+    _of_soak(add(_soak))
     _of_emulate(add(_emulate))
     return parser
 
@@ -196,6 +271,52 @@ def _of_accept(made: argparse.ArgumentParser) -> None:
     add("--period-ms", type=int, default=50, help="milliseconds between scans")
     counts, about = SkinConfig().full_scale_counts, "as skin.full_scale_counts"
     add("--full-scale-counts", type=float, default=counts, help=about)
+
+
+def _of_expect(made: argparse.ArgumentParser) -> None:
+    add = made.add_argument
+    about = "a bundle (box, drill, mug, a path), a YCB id or a mesh file"
+    add("--object", required=True, help=about)
+    about = "as skin.layout; default: what a bundle was built for"
+    add("--layout", default="", help=about)
+    add("--foam", default="typical", help=f"default: typical; {', '.join(FOAMS)}")
+    about = "the robot's error in x and in y, sd, drawn for each touch (default %(default)s)"
+    add("--robot-mm", type=float, default=1.0, metavar="SD", help=about)
+    about = "the sensor frame's origin above the object's lowest point (default: as it fits)"
+    add("--height-m", type=float, metavar="H", help=about)
+    about = "of the foam, at full scale (default: 5, or the bundle's)"
+    add("--depth-mm", type=float, metavar="D", help=about)
+    add("--touches", type=int, default=8, metavar="N", help="default %(default)s")
+    add("--seeds", type=int, default=60, metavar="N", help="trials (default %(default)s)")
+    options.add_workers(made)
+    add("--out", type=Path, default=Path("expect"), metavar="DIR", help="for the JSON")
+
+
+def _of_matrix(made: argparse.ArgumentParser) -> None:
+    add = made.add_argument
+    add("scenario", nargs="*", metavar="SCENARIO", help="default: all shipped")
+    for option, default in (("--object", MATRIX_OBJECTS), ("--foam", MATRIX_FOAMS)):
+        add(option, action="append", help=f"may be repeated; default: {', '.join(default)}")
+    options.add_layouts(made, "what each object's bundle was built for")
+    about = "runs of each kind (default %(default)s)"
+    add("--seeds", type=int, default=5, metavar="N", help=about)
+    options.add_workers(made)
+    add("--out", type=Path, required=True, metavar="DIR", help="for the JSON")
+
+
+def _of_soak(made: argparse.ArgumentParser) -> None:
+    add = made.add_argument
+    add("scenario", nargs="?", default="demo", metavar="SCENARIO", help="default: demo")
+    about = "in place of the scenario's object: box, drill, mug, or a path"
+    add("--object", default="", metavar="BUNDLE", help=about)
+    add("--foam", default="", help=f"in place of the scenario's: {', '.join(FOAMS)}")
+    options.add_layouts(made, "the scenario's")
+    add("--seed", type=int, default=0)
+    long = made.add_mutually_exclusive_group().add_argument
+    long("--hours", type=float, default=1.0, help="hours of scans, on the fake clock")
+    long("--real-minutes", type=float, help="minutes over the transport, in real time")
+    options.add_workers(made)
+    add("--out", type=Path, default=Path("soak.json"), help="the report")
 
 
 def _of_emulate(made: argparse.ArgumentParser) -> None:

@@ -8,21 +8,12 @@ import contextlib
 import functools
 import hashlib
 import json
-import math
 import os
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib import resources
 from multiprocessing import get_context, parent_process
@@ -79,14 +70,12 @@ def run(
     memory: Path,
     *,
     workers: int | str = 2,
-    until: float = math.inf,
     describe: Callable[[Any], str] = lambda _: "",
 ) -> dict[str, Any]:
     """Results by job name; those that `memory`, a directory, holds are not run again.
 
     `workers`: how many, of one thread each, or the address of a running Dask scheduler, whose
-    workers the jobs run on. No job begins after `until` (monotonic clock [s]); the result of a job
-    that did not run is None. `describe` writes a result for the line on stderr that follows each
+    workers the jobs run on. `describe` writes a result for the line on stderr that follows each
     job. On an interrupt the results so far are kept and the interrupt goes on.
 
     Raises:
@@ -110,15 +99,17 @@ def run(
         taken = f"{done} of {len(todo)}, {time.monotonic() - began_s:.0f} s"
         _say(": ".join(filter(None, (taken, job.name, describe(result)))))
 
-    count = len(todo) if isinstance(workers, str) else min(workers, len(todo))
-    if isinstance(workers, int) and count <= 1:
+    count = 0 if isinstance(workers, str) else min(workers, len(todo))
+    if not todo or count == 1:
         for job in todo:
-            if time.monotonic() < until:
-                keep(job, _work(job))
+            keep(job, _work(job))
         return results
-    pools = _on_dask(workers) if isinstance(workers, str) else _in_processes(count)
-    with pools as (pool, places):
-        _run_all(todo, pool, places, until, keep)
+    cure = ": try again with --workers 1; finished jobs are kept"
+    pools = _on_dask(workers) if isinstance(workers, str) else _processes(count, None, cure)
+    with pools as pool:
+        futures = {pool.submit(_work, job): job for job in todo}
+        for future in as_completed(futures):
+            keep(futures[future], future.result())
     return results
 
 
@@ -133,25 +124,6 @@ def read(job: Job, memory: Path) -> Any:
 def forget(job: Job, memory: Path) -> None:
     """Forget a job's result, as a file that it made beside it is missing."""
     (memory / f"{job.key}.json").unlink(missing_ok=True)
-
-
-def _run_all(
-    todo: Sequence[Job],
-    pool: Executor,
-    places: Callable[[], int],
-    until: float,
-    keep: Callable[[Job, Any], None],
-) -> None:
-    """No more jobs are handed over than there are places, so that none begins after `until`."""
-    waiting, running = deque(todo), dict[Future[Any], Job]()
-    while True:
-        while waiting and len(running) < places() and time.monotonic() < until:
-            job = waiting.popleft()
-            running[pool.submit(_work, job)] = job
-        if not running:
-            return
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            keep(running.pop(future), future.result())
 
 
 def _work(job: Job) -> Any:
@@ -174,13 +146,6 @@ def _writing(memory: Path) -> Iterator[None]:
         raise SetupError(
             f"--memory: {memory}: {error.strerror}; name a directory that can be written"
         ) from None
-
-
-@contextlib.contextmanager
-def _in_processes(workers: int) -> Iterator[tuple[Executor, Callable[[], int]]]:
-    """Processes of this machine, and how many there are."""
-    with _processes(workers, None, ": try again with --workers 1; finished jobs are kept") as pool:
-        yield pool, lambda: workers
 
 
 def beside(
@@ -231,16 +196,20 @@ def _with_given(work: Callable[[Any, Any], Any], item: Any) -> Any:
 
 
 @contextlib.contextmanager
-def _on_dask(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
-    """The workers of a cluster, and how many there are now."""
+def _on_dask(address: str) -> Iterator[Executor]:
+    """The workers of a cluster."""
     from distributed import Client  # noqa: PLC0415  (an extra)
 
     try:
         client = Client(address, timeout=PATIENCE)
     except (OSError, ValueError) as error:
         raise SetupError(f"--workers: no scheduler answers at {address} ({error})") from None
-    with client, client.get_executor(pure=False) as pool:
-        yield pool, lambda: max(1, sum(client.ncores().values()))
+    with client:
+        pool = client.get_executor(pure=False)
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=False)  # what was not begun is not run
 
 
 def _say(line: str) -> None:

@@ -114,10 +114,11 @@ def test_a_larger_patch_has_all_taxels_twice_and_stands_on_the_same_height(tmp_p
 
 @pytest.mark.smoke
 def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    command = ["expect", "--object", "box", "--foam", "scene", "--quick", "--workers", "1"]
-    command += ["--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
+    monkeypatch.chdir(tmp_path)
+    command = ["expect", "--object", "box", "--foam", "scene", "--seeds", "2", "--touches", "3"]
+    command += ["--workers", "1", "--out", str(tmp_path)]
     assert cli.main(command) == 0
     first = capsys.readouterr()
     assert "2 trials" in first.out
@@ -140,10 +141,10 @@ def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
         (["--object", "box", "--depth-mm", "0"], "--depth-mm: must be 0.1..50, not 0"),
         (["--object", "box", "--height-m", "5"], "no taxel is at a height of the object"),
         (["--object", "box", "--seeds", "0"], "--seeds must be at least 1"),
-        (["--object", "box", "--minutes", "0"], "--minutes: no run was done; give more"),
+        (["--object", "box", "--quick"], "expect --quick: is gone; say --seeds 2 --touches 3"),
         (["--object", "box", "--foam", "wet"], "no foam 'wet'"),
     ],
 )
 def test_a_fault_of_the_arguments_is_one_line(given: list[str], said: str, tmp_path: Path) -> None:
-    command = ["expect", *given, "--memory", str(tmp_path / "m"), "--out", str(tmp_path)]
+    command = ["expect", *given, "--out", str(tmp_path)]
     assert said in refused(*command, main=cli.main)

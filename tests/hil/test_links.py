@@ -1,29 +1,22 @@
-"""Scenarios of several links, and of a skin that comes as an array."""
+"""Scenarios of several links."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import zmq
 
 from taxeld.commands.replay import Replay
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld_hil.grade.session import POSE, read
-from taxeld_hil.rig.ledger import WireUnit
-from taxeld_hil.rig.ports import ArrayPort
-from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.run.live import SimulatedRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault
 from taxeld_hil.world.world import world_of
-from taxeld_protocol import array
-from taxeld_protocol.array import ArrayFrame
 from tests.hil.rig import passing
-from tests.rig.clocks import until
 
 pytestmark = pytest.mark.check
 
@@ -111,27 +104,3 @@ def test_several_layouts_are_links_and_one_is_the_only_skin() -> None:
 def test_several_links_in_real_time_are_refused() -> None:
     with pytest.raises(SetupError, match="several links run on the fake clock alone: --clock fake"):
         SimulatedRun(LINKS, 0)
-
-
-def test_a_subscription_begins_and_ends_the_arrays_of_a_skin(tmp_path: Path) -> None:
-    rig, port = Rig(scenario.load("array"), 0), ArrayPort(tmp_path / "skin")
-    frame = ArrayFrame(5.0, "skin", 0, (10_000, 0, 10_002))
-
-    def ask() -> bool:
-        for packet in port.take(0.0):
-            rig.answer(packet, 0.0)
-        return rig.hub.auto_sync
-
-    with zmq.Context() as context, context.socket(zmq.SUB) as host:
-        host.setsockopt(zmq.LINGER, 0)
-        host.connect(f"ipc://{tmp_path}/skin")
-        assert not ask()
-        host.setsockopt(zmq.SUBSCRIBE, b"")
-        until(ask)
-        assert port.is_open
-        assert port.send(WireUnit(frame, None))
-        assert array.parse(array.read_json(host.recv())) == frame
-        host.setsockopt(zmq.UNSUBSCRIBE, b"")
-        until(lambda: not ask())
-        assert not port.is_open
-    port.close()

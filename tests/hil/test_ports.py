@@ -11,9 +11,12 @@ import zmq
 from taxeld.errors import SetupError
 from taxeld.stream.topics import SENSOR_POSE
 from taxeld_hil.rig.bench import Bench
+from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort, NativePort
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario import scenario
+from taxeld_protocol import array
+from taxeld_protocol.array import ArrayFrame
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.sockets import Sockets
 
@@ -114,20 +117,33 @@ def test_poses_count_as_heard_only_while_somebody_listens_to_them(
     assert 3 <= heard == ledger.poses_heard
 
 
-def test_arrays_go_on_when_one_of_two_listeners_leaves(sockets: Sockets, tmp_path: Path) -> None:
-    port, endpoint = ArrayPort(tmp_path / "skin"), f"ipc://{tmp_path}/skin"
+def test_arrays_come_from_the_first_listener_on_until_the_last_has_left(
+    sockets: Sockets, tmp_path: Path
+) -> None:
+    rig, port = Rig(scenario.load("array"), 0), ArrayPort(tmp_path / "skin")
+    frame, endpoint = ArrayFrame(5.0, "skin", 0, (10_000, 0, 10_002)), f"ipc://{tmp_path}/skin"
 
     def requests() -> int:
         assert port._socket.poll(PATIENCE_MS)
-        return len(port.take(0.0))
+        asked = port.take(0.0)
+        for packet in asked:
+            rig.answer(packet, 0.0)
+        return len(asked)
 
-    sockets.subscriber(endpoint)
-    assert requests() == 1, "the skin is started"
+    host = sockets.subscriber(endpoint)
+    assert requests() == 1
+    assert rig.hub.auto_sync, "the skin is started"
+    assert port.send(WireUnit(frame, None))
+    assert array.parse(array.read_json(host.recv())) == frame
     other = sockets.subscriber(endpoint, b"/skin")
     assert requests() == 0
     other.close()
     assert requests() == 0
     assert port.is_open
+    host.close()
+    assert requests() == 1
+    assert not port.is_open
+    assert not rig.hub.auto_sync
     port.close()
 
 

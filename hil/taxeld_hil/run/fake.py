@@ -14,7 +14,7 @@ from taxeld.layout.layout import Layout
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
-from taxeld.skin.calibration import Calibration, SkinState
+from taxeld.skin.calibration import SkinState
 from taxeld.source.device import Device, LostError
 from taxeld.source.opening import open_sources
 from taxeld.source.session import Item
@@ -109,7 +109,6 @@ class FakeDaemon:
         scenes: Sequence[Bundle],
         lines: Sequence[MemoryLine],
         kept: Sequence[SkinState | None],
-        calibration: Calibration | None = None,
     ) -> None:
         """`scenes`: of all objects that it knows; `lines`: one for each bus; `kept`: what the life
         before has learned of each link's skin.
@@ -121,8 +120,7 @@ class FakeDaemon:
         samples = choice.samples(scenes, config.filter)
         models = [scene.model for scene in scenes]
         skins = [link.layout for link in models[0].links]
-        given = [calibration, *[None] * (len(skins) - 1)]
-        self.pipeline = Pipeline(config, skins, models, samples, calibration=given)
+        self.pipeline = Pipeline(config, skins, models, samples)
         left = iter(lines)
         self.sources = open_sources(
             config, skins, lambda source, on_it: _source(source, on_it, next(left)), ExitStack()

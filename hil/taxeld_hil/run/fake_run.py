@@ -10,7 +10,7 @@ import msgpack
 from taxeld.commands.advise import Adviser
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate
-from taxeld.skin.calibration import Calibration, SkinState
+from taxeld.skin.calibration import SkinState
 from taxeld.source import recorder, session
 from taxeld.source.session import Item
 from taxeld.stream import topics
@@ -37,10 +37,9 @@ class FakeRun(SessionRun):
         seed: int,
         rate_hz: float = 100.0,
         filter_keys: str = "",
-        calibration: Calibration | None = None,
     ) -> None:
         """`rate_hz`: of the daemon's loop, and of all that steps with it; `filter_keys`: lines of
-        TOML for the daemon's table [filter]; `calibration`: of this very skin.
+        TOML for the daemon's table [filter].
 
         Raises:
             SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
@@ -57,7 +56,6 @@ class FakeRun(SessionRun):
         where = [rig.scenario.skin_layout for rig in self.rigs]
         self.scenes = [subjects.on_layout(name, *where) for name in scenario.known]
         self.skin = self.scenes[0].model.layout
-        self._calibration = calibration
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
         self._wire: WireFiles | None = None
@@ -166,7 +164,7 @@ class FakeRun(SessionRun):
         kept: list[SkinState | None] = [None] * len(self.rigs)
         if self._dead is not None:
             kept = [stage.skin.state() for stage in self._dead.pipeline.stages]
-        return FakeDaemon(self.config, self.scenes, self.lines, kept, self._calibration)
+        return FakeDaemon(self.config, self.scenes, self.lines, kept)
 
 
 class WireFiles:
