@@ -11,7 +11,7 @@ import pytest
 
 from taxeld.source.bring_up import SHORT_IDS, BringUp
 from taxeld_protocol import cyskin
-from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command, Packet
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command, ErrorCode, Packet
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import Module, listed, wired
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
@@ -182,10 +182,17 @@ def test_each_hub_streams_six_seconds_after_it_can_and_one_that_streams_is_left_
 
 
 class MuteHub(VirtualIhb):
-    """Its modules do not answer."""
+    """Its modules do not answer, or it says that it cannot ask them."""
+
+    says: tuple[Answer, ...] = ()
 
     def answer(self, packet: Packet) -> list[Answer]:
-        return [] if packet.command == Command.MODULE_DETAILS else super().answer(packet)
+        is_asked = packet.command == Command.MODULE_DETAILS
+        return [*self.says] if is_asked else super().answer(packet)
+
+
+class UnableHub(MuteHub):
+    says = ((Command.ERROR, bytes((Command.MODULE_DETAILS, ErrorCode.NOT_SUPPORTED))),)
 
 
 class OddHub(VirtualIhb):
@@ -305,7 +312,8 @@ def test_who_keeps_what_a_table_led_to_by_its_version_takes_no_table_for_another
 def test_what_happens_to_one_hub_does_not_keep_another_from_streaming() -> None:
     """It does not tell of its modules, or is refused, or reboots, or is gone for good."""
     good, bad = pair()
-    strange = {"mute": MuteHub(MODULES[1:2], uid=8), "odd": OddHub(MODULES[1:2], uid=8)}
+    kinds = {"mute": MuteHub, "unable": UnableHub, "odd": OddHub}
+    strange = {name: kind(MODULES[1:2], uid=8) for name, kind in kinds.items()}
     for case in (*strange, "reboots", "gone"):
         good.reboot()
         bus = HubBus(good, strange.get(case, bad), late=True)

@@ -164,19 +164,6 @@ def test_a_list_of_another_skin_is_refused() -> None:
         listener(((3535, 0xFFF),))
 
 
-@pytest.mark.parametrize("told_when", ["before", "after", "listed"])
-def test_a_recording_is_read_by_what_it_tells_anywhere_or_by_the_list(told_when: str) -> None:
-    hub = VirtualIhb(MODULES)
-    answers = frames(hub, told(hub), 1.5)
-    heard = scan(hub, 1.0) + scan(hub, 2.0)
-    items = {"before": answers + heard, "after": heard + answers, "listed": heard}[told_when]
-    config = SourceConfig(kind="can", modules=LISTED if told_when == "listed" else ())
-    decoder = modules.recorded(config, SKIN, lambda: items, "x")
-    scans = [scan for frame in items for scan in decoder.feed(frame)[1]]
-    assert len(scans) == 2
-    assert is_right(scans)
-
-
 def test_a_log_that_does_not_tell_its_modules_is_read_by_the_configurations_list_or_refused(
     tmp_path: Path,
 ) -> None:
