@@ -200,9 +200,18 @@ def declared_twice() -> Received:
     return received(dead + scans_of(times=TIMES[100:], version=2))
 
 
+def of_two_hubs() -> Received:
+    """The second hub's first scan comes after that of the first."""
+    first = scans_of((A, B), TIMES[:40])
+    second = [replace(scan, ihb=2) for scan in scans_of((C, D), TIMES[:40] + 0.01)]
+    scans = [scan for pair in zip(first, second, strict=True) for scan in pair]
+    return received(scans, tables={1: (A, B), 2: (C, D)}, span=(SPAN[0], TIMES[40]))
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
+        (of_two_hubs, "40 of 40"),
         (presses(1, 2, 3, 4), "4 of 4 modules answered where they are"),
         (table(replace(A, mask=0xFFF, channels=12), B, C, D), "4 of 4 answered"),
         (counts(noise=0.2, fixed={(1, 3): 10_000}), "use --press"),
@@ -253,7 +262,6 @@ RELEASED = (0,) * 8
         ((400,) * 20, False, None),
         ((*(400,) * 20, *RELEASED, 70, 80, *RELEASED), False, 80.0),
     ],
-    ids=["pressed and released", "not released", "single scans", "still held", "held, then again"],
 )
 def test_a_press_begins_on_a_free_skin_and_ends_with_its_release(
     over: tuple[int, ...], free: bool, peak: float | None

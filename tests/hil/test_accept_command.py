@@ -109,17 +109,9 @@ def wired_as(**modules: int) -> Prepare:
     return lambda skin: skin.wired_as.update({int(k[1:]): v for k, v in modules.items()})
 
 
-def slow(skin: VirtualSkin) -> None:
-    skin.period_ms = 80
-
-
 def damaged(skin: VirtualSkin) -> None:
     assert isinstance(skin.hub, DamagingHub)
     skin.hub.damage_every = 9
-
-
-def in_bootloader(skin: VirtualSkin) -> None:
-    skin.hub.ihb = StuckHub(MODULES)
 
 
 def dumb(skin: VirtualSkin) -> None:
@@ -146,13 +138,14 @@ FAULTS: list[tuple[str, str, dict[str, Any]]] = [
     ("press answers", "module 3 (hub 1, position 2) felt nothing", {"prepare": wired_as(m3=99)}),
     ("press answers", "2 of 4 modules answered", {"prepare": left}),
     ("link damage", "crc_errors", {"prepare": damaged}),
-    ("rate hub 1", "80.0 ms", {"prepare": slow}),
+    ("rate hub 1", "80.0 ms", {"prepare": lambda skin: setattr(skin, "period_ms", 80)}),
     ("modules of the layout", "2 did not", {"found": [FIRST, *REST[1:]]}),
     ("modules with other taxels", "leaves out T10",
      {"found": [replace(FIRST, mask=0x3FF, channels=10), *REST]}),
     ("modules with other taxels", "is grouped (grouping 1)",
      {"found": [replace(FIRST, grouping=1), *REST]}),
-    ("discovery hubs", "bootloader", {"prepare": in_bootloader}),
+    ("discovery hubs", "bootloader",
+     {"prepare": lambda skin: setattr(skin.hub, "ihb", StuckHub(MODULES))}),
     ("discovery hubs", "120 Ω", {"prepare": dumb}),
 ]  # fmt: skip
 

@@ -73,22 +73,22 @@ class Received:
         skin, m = Skin(self.layout, config, silent_s=np.inf), len(self.layout)
         last = {scan.ihb: scan.table_version for scan in self.scans}
         scans = [s for s in self.scans if s.complete and s.table_version == last[s.ihb]]
-        unread, over, t0 = np.zeros(m), np.zeros(m), []
+        came, unread, over, t0 = np.zeros(m), np.zeros(m), np.zeros(m), []
         for scan in scans:
             skin.on_scan(scan)
-            unread += skin.counts == 0.0
-            over[skin.faults()["saturated_taxels"]] += 1.0
+            own, found = skin.wiring.of(scan).taxels, skin.faults()
+            came[own] += 1.0
+            unread[own] += skin.counts[own] == 0.0
+            over[own] += np.isin(own, found["saturated_taxels"])
             if (state := skin.state()) is not None:
                 t0.append(state.t0)
         if (state := skin.state()) is None:
             return None
-        tables = {scan.ihb: scan.table for scan in scans}.values()
-        heard = np.isin(self.layout.uid, [u for t in tables for module in t for u in module.uids])
-        often, is_stuck = INVALID * len(scans), np.zeros(m, dtype=bool)
-        is_stuck[skin.faults()["stuck_taxels"]] = True
+        heard, often, is_stuck = came > 0.0, INVALID * came, np.zeros(m, dtype=bool)
+        is_stuck[found["stuck_taxels"]] = True
         faults = {
-            "saturated": heard & (over > often),
-            "dead": heard & (over <= often) & (unread - over > often),
+            "saturated": over > often,
+            "dead": (over <= often) & (unread - over > often),
             "stuck": is_stuck,
         }
         fine, unknown = heard & ~np.any([*faults.values()], axis=0), np.isnan(state.baseline)
