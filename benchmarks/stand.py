@@ -33,36 +33,33 @@ from taxeld_hil.scenario.scenario import Scenario
 
 SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 AWAY_M = np.array([5.0, 5.0, 0.0])  # where an untouched skin's object stands instead
-SETTLE_S, WINDOW_S, STEP_S, READY_S = 5.0, 4.0, 0.002, 60.0
+SETTLE_S, WINDOW_S, STEP_S, READY_S = 4.0, 4.0, 0.002, 60.0
+SCAN_S = 0.05
 OLDER = {  # lines of the configuration, as a checkout has them that knows `source.framing`
     'kind = "can"\ninterface = "slcan"': 'kind = "serial"\nframing = "slcan"',
     "sigma_m = 0.001\n": "",
 }
-# `count` subscribers of all topics; when standard input ends, each estimate with its monotonic time
-SUBSCRIBERS = """
+# of all topics; when standard input ends, it prints each estimate's monotonic time and its own
+SUBSCRIBER = """
 import json, sys, time, msgpack, zmq
-context, poller, heard = zmq.Context(), zmq.Poller(), []
+poller, heard, stream = zmq.Poller(), [], zmq.Context().socket(zmq.SUB)
+stream.subscribe(b"")
+stream.connect(sys.argv[1])
+poller.register(stream, zmq.POLLIN)
 poller.register(0, zmq.POLLIN)
-for _ in range(int(sys.argv[2])):
-    one = context.socket(zmq.SUB)
-    one.subscribe(b"")
-    one.connect(sys.argv[1])
-    poller.register(one, zmq.POLLIN)
-while 0 not in (ready := dict(poller.poll())):
-    for one in ready:
-        topic, body, *_ = one.recv_multipart()
-        if topic == b"/taxeld/estimate":
-            heard.append((one.fileno(), time.monotonic(), msgpack.unpackb(body)["t"]))
+while 0 not in dict(poller.poll()):
+    topic, body, *_ = stream.recv_multipart()
+    if topic == b"/taxeld/estimate":
+        heard.append((time.monotonic(), msgpack.unpackb(body)["t"]))
 print(json.dumps(heard))
 """
 
 
 @dataclass(frozen=True)
 class Load:
-    touched: bool  # the robot presses all the time, on all sides of a box
+    touched: bool  # the robot presses all the time, on all sides of a box; or it stands still
     layout: str = SKIN
     bundle: str = "box"
-    subscribers: int = 1
 
 
 @dataclass
@@ -72,7 +69,7 @@ class Measured:
     start_cpu_s: float = 0.0  # until it is ready
     cpu_percent: list[float] = field(default_factory=list)  # a core's share, window by window
     resident_mb: list[float] = field(default_factory=list)  # with each window
-    reached_ms: Any = None  # (K,) from a scan's last frame to the last subscriber of its estimate
+    reached_ms: Any = None  # (K,) from a scan's last frame to a subscriber of its estimate
     health: dict[str, Any] = field(default_factory=dict)
 
 
@@ -81,16 +78,17 @@ class Stand:
 
     def __init__(self, case: Load, checkout: Path, opened: ExitStack) -> None:
         self.found, self._sent_s, self._spent_s = Measured(), list[float](), 0.0
-        self._case, self._opened = case, opened
+        self._opened = opened
         self._place = place = Path(opened.enter_context(tempfile.TemporaryDirectory()))
-        touches = Scenario(case.bundle, layout=case.layout, contacts=1000, physics="scene")
+        contacts = 1000 if case.touched else 1  # the one is missed before the measurement begins
+        touches = Scenario(case.bundle, layout=case.layout, contacts=contacts, physics="scene")
         rig = Rig(touches, 0)
         rig.world.truth = rig.world.truth + (0.0 if case.touched else AWAY_M)
         poses = opened.enter_context(opened.enter_context(zmq.Context()).socket(zmq.XPUB))
         poses.linger = 0
         poses.bind(f"ipc://{place}/poses")
-        self._bench = Bench(rig, place / "skin", poses)
-        opened.callback(self._bench.close)
+        self.bench = Bench(rig, place / "skin", poses)
+        opened.callback(self.bench.close)
         self._ready = opened.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
         self._ready.bind(f"{place}/notify")
         where = f"{place}/skin", f"ipc://{place}/poses", place
@@ -112,9 +110,9 @@ class Stand:
         opened.callback(self._daemon.send_signal, signal.SIGTERM)
 
     def step(self) -> None:
-        sent = self._bench.rig.ledger.fates.scans
-        self._bench.step()
-        self._sent_s += [time.monotonic()] * (self._bench.rig.ledger.fates.scans - sent)
+        sent = self.bench.rig.ledger.fates.scans
+        self.bench.step()
+        self._sent_s += [time.monotonic()] * (self.bench.rig.ledger.fates.scans - sent)
 
     def is_ready(self) -> bool:
         """Whether the daemon says so for the first time; then its subscribers come."""
@@ -122,8 +120,8 @@ class Stand:
         if self.found.start_cpu_s or not select.select([self._ready], [], [], 0)[0]:
             return False
         self.found.start_cpu_s = cpu_s(self._daemon.pid)
-        of = f"ipc://{self._place}/stream", str(self._case.subscribers)
-        command, pipe = [sys.executable, "-c", SUBSCRIBERS, *of], subprocess.PIPE
+        command, pipe = [sys.executable, "-c", SUBSCRIBER], subprocess.PIPE
+        command.append(f"ipc://{self._place}/stream")
         self._heard = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
         self._opened.callback(self._heard.communicate)
         return True
@@ -144,7 +142,7 @@ class Stand:
         assert answer is not None, "the daemon does not answer"
         self.found.health = answer["health"]
         heard = json.loads(self._heard.communicate()[0])
-        self.found.reached_ms = delays_ms(np.array(self._sent_s), heard, self._case.subscribers)
+        self.found.reached_ms = delays_ms(np.array(self._sent_s), heard)
         return self.found
 
 
@@ -154,6 +152,9 @@ def measure(case: Load, seconds: float, checkouts: Sequence[Path]) -> list[Measu
         stands = [Stand(case, each, opened) for each in checkouts]
         for _ in stands:
             _serve(stands, READY_S, lambda: any(stand.is_ready() for stand in stands))
+        _serve(stands, SETTLE_S)
+        for turn, stand in enumerate(stands):  # else they would get in each other's way
+            stand.bench.rig.hub._next_s = time.monotonic() + SCAN_S * (1.0 + turn / len(stands))
         _serve(stands, SETTLE_S)
         for stand in stands:
             stand.begin()
@@ -176,16 +177,16 @@ def _serve(
     return time.monotonic() - began_s
 
 
-def delays_ms(sent_s: Any, heard: list[tuple[int, float, float]], subscribers: int) -> Any:
-    """(K,) for each scan the delay of its estimate to the last of the subscribers."""
-    found: dict[int, list[float]] = {}
-    newest: dict[int, float] = {}
-    for one, at_s, t in heard:
+def delays_ms(sent_s: Any, heard: list[tuple[float, float]]) -> Any:
+    """(K,) the delay of each scan's estimate."""
+    found: dict[int, float] = {}
+    newest = 0.0
+    for at_s, t in heard:
         scan = int(np.searchsorted(sent_s, at_s)) - 1
-        if scan >= 0 and t > newest.get(one, 0.0):
-            found.setdefault(scan, []).append(1e3 * (at_s - sent_s[scan]))
-        newest[one] = t
-    return np.array([max(each) for each in found.values() if len(each) == subscribers])
+        if scan >= 0 and t > newest:
+            found.setdefault(scan, 1e3 * (at_s - sent_s[scan]))
+        newest = t
+    return np.array(list(found.values()))
 
 
 def processes(pid: int) -> list[Path]:
