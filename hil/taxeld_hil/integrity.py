@@ -10,7 +10,7 @@ in mm.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,17 +42,6 @@ def is_misleading(p: ArrayLike, error_mm: ArrayLike, radius_mm: ArrayLike) -> Bo
     return is_sure(p) & (~is_found(error_mm) | is_beyond(error_mm, radius_mm))
 
 
-class Claim(Protocol):
-    """What an estimate claims, and how far off it is."""
-
-    @property
-    def p(self) -> float: ...
-    @property
-    def radius_mm(self) -> float: ...
-    @property
-    def error_mm(self) -> float: ...
-
-
 @dataclass(frozen=True)
 class Claims:
     """Estimates (…,), held against the truth."""
@@ -62,8 +51,8 @@ class Claims:
     error_mm: Floats  # nan: another object is touched
 
     @classmethod
-    def of_trials(cls, trials: Sequence[Sequence[Claim]]) -> Self:
-        """Those of N trials after T touches each (N, T)."""
+    def of_trials(cls, trials: Sequence[Sequence[Any]]) -> Self:
+        """Those of N trials after T touches each (N, T), each with its p, radius and error."""
         rows = [[(one.p, one.radius_mm, one.error_mm) for one in trial] for trial in trials]
         return cls(*np.moveaxis(np.array(rows, dtype=np.float64), -1, 0))
 

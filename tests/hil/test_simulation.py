@@ -1,68 +1,18 @@
 """The demo on the fake clock, and the simulated parts it is made of."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from taxeld.model import contacts, se2
-from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
-from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault, Scenario
-from taxeld_hil.world import robot
 from taxeld_hil.world.skin import exact
 from taxeld_hil.world.world import IDLE_S, World, world_of
-from tests.hil.rig import DEMO, MODEL, SKIN
+from tests.hil.rig import SKIN
 from tests.rig.processes import python
 
 FAR = np.array([5.0, 5.0, 0.0])
-
-
-def errors_mm(run: FakeRun) -> list[float]:
-    """At the end of each contact."""
-    found, was = [], False
-    for k in range(round(100 * run.duration_s)):
-        e = run.step(k / 100)
-        if e is not None:
-            error_m = add_m(MODEL.scene, e.map, run.rig.world.truth)[1]
-            found += [1e3 * error_m] * (was and not e.contact)
-            was = e.contact
-    return found
-
-
-def test_the_uninformed_baseline_is_farther_off_after_two_contacts() -> None:
-    """What the inverse model is for: with the same particles, projection needs more contacts."""
-    final, two = {}, replace(DEMO.on("scene"), contacts=2)
-    for proposal in ("auto", "projection"):
-        keys = f'proposal = "{proposal}"'
-        final[proposal] = [errors_mm(FakeRun(two, seed, filter_keys=keys))[1] for seed in range(20)]
-    assert np.median(final["auto"]) < 0.5 * np.median(final["projection"])
-
-
-def test_the_robot_touches_as_often_as_asked_and_never_deeper() -> None:
-    made = world_of(DEMO, 3)
-    path, truth = made.paths[0], made.truth
-    sensors = np.array([path.at(t) for t in np.arange(0.0, path.duration_s, 0.005)])
-    gap = contacts.clearance(MODEL.scene, SKIN.radius_m, se2.compose(se2.inverse(sensors), truth))
-    touching = gap < 0.0
-    assert np.count_nonzero(np.diff(touching.astype(int)) == 1) == DEMO.contacts
-    assert -0.0055 < gap.min() < -DEMO.press_min_m
-    step = np.linalg.norm(np.diff(sensors[:, :2], axis=0), axis=1)
-    assert step.max() < 0.005 * 1.01 * robot.TRAVEL_M_S
-
-
-def test_counts_rise_with_pressure_over_a_baseline_of_their_own() -> None:
-    made = world_of(DEMO, 1)
-    counts = np.array([made.step(t).counts for t in np.arange(0.0, made.duration_s, 0.05)])
-    idle, pressed = counts[:30], counts[30:].max(axis=0)
-    assert idle.shape == (30, 88)
-    assert 20 < np.median(idle.std(axis=0)) < 50
-    rise = pressed - idle.mean(axis=0)
-    temperature = [0, 11, 22, 33]
-    assert rise.max() > 5000
-    assert rise[temperature].max() < 2000
 
 
 def test_the_demos_physics_need_nothing_but_the_runtime() -> None:

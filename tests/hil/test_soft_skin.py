@@ -1,6 +1,6 @@
 """The parts of a simulated soft skin: foam, electronics, and the skins that scenarios name."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taxeld.arrays import Floats, Poses
-from taxeld.config.gate import ConfigError, Given
+from taxeld.config.gate import Given
 from taxeld.model import se2
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL
@@ -59,14 +59,6 @@ def test_a_response_is_exact_at_0_and_1_and_who_presses_harder_reads_more() -> N
     np.testing.assert_allclose(Response(PLAIN, 1, np.random.default_rng(0))(h[:, None])[:, 0], h)
 
 
-def test_a_taxels_onset_is_by_how_much_steeper_its_response_begins() -> None:
-    h = np.array([[0.0], [1e-6]])
-    for onset in (0.5, 1.0, 2.0):
-        skin = replace(PLAIN, bend=0.1, onset=(onset, onset))
-        slope = Response(skin, 1, np.random.default_rng(0))(h)[1, 0] / 1e-6
-        assert slope == pytest.approx(1.1 + onset - 1.0, rel=1e-4)
-
-
 def test_cross_talk_adds_up_the_shares_of_all_presses_and_ends_at_the_module() -> None:
     share = CrossTalk(SKIN, (0.05, 0.05), np.random.default_rng(0))
     press = np.zeros(len(SKIN))
@@ -77,12 +69,9 @@ def test_cross_talk_adds_up_the_shares_of_all_presses_and_ends_at_the_module() -
     np.testing.assert_allclose(np.delete(read[20:30], 5), 10.0)
     assert not read[10:20].any()
     assert not read[30:].any()
-
-
-def test_cross_talk_of_a_pair_is_the_same_both_ways() -> None:
     share = CrossTalk(SKIN, (0.01, 0.067), np.random.default_rng(0))
     one = np.array([share.add(1000.0 * row) for row in np.eye(len(SKIN))])
-    np.testing.assert_allclose(one, one.T)
+    np.testing.assert_allclose(one, one.T)  # of a pair the same both ways
 
 
 def test_drift_is_never_faster_than_asked() -> None:
@@ -123,18 +112,6 @@ def test_temperature_channels_drift_with_the_taxels_and_hardly_read_a_press() ->
     rise = np.array(scanned(made, touching(made), 1740.0)) - np.array(scanned(made, FAR, 1740.0))
     assert rise.max() > 5000
     assert rise[[0, 11, 22, 33]].max() < 0.1 * rise.max()
-
-
-def test_with_every_effect_off_the_worlds_differ_by_geometry_alone() -> None:
-    scene = world_of(replace(HARD, mesh=Given(SILENT)), 1)
-    mesh = world_of(replace(MESH, mesh=Given({**asdict(PLAIN), **SILENT})), 1)
-    np.testing.assert_array_equal(scanned(scene, FAR, 0.0), scanned(mesh, FAR, 0.0))
-    gaps = []
-    for depth in (0.001, 0.002, 0.003, 0.004):
-        pose = touching(scene, depth)
-        one, other = np.array(scanned(scene, pose, 0.0)), np.array(scanned(mesh, pose, 0.0))
-        gaps.append(np.abs(one - other)[one - np.array(scanned(scene, FAR, 0.0)) > 500])
-    assert np.median(np.concatenate(gaps)) < 0.1 * HARD.full_scale_counts
 
 
 LOOP = replace(PLAIN, hysteresis=(0.1, 0.1))
@@ -186,14 +163,8 @@ def test_what_stays_of_a_long_press_is_its_share_and_decays_with_its_time_consta
     end = held(of, 10.0)
     read = [of.press(ZERO, end + t)[0] for t in (0.0, tau_s, 2.0 * tau_s)]
     np.testing.assert_allclose(read, 0.8 * share * np.exp([0.0, -1.0, -2.0]), rtol=1e-6)
-
-
-def test_a_tap_leaves_less_than_a_press() -> None:
-    left = []
-    for seconds in (0.1, 0.5, 5.0):
-        of = foam(SLOW)
-        left.append(of.press(ZERO, held(of, seconds))[0])
-    np.testing.assert_allclose(left, 0.008 * -np.expm1(np.array([-0.1, -0.5, -5.0]) / 0.5))
+    tap = foam(config)
+    assert tap.press(ZERO, held(tap, 0.1))[0] == pytest.approx(0.8 * share * -np.expm1(-0.2))
 
 
 def test_what_presses_leave_adds_up_and_never_exceeds_its_share() -> None:
@@ -212,27 +183,6 @@ def test_a_light_press_of_what_is_left_of_a_deep_one_is_read_as_it_is() -> None:
     of = foam(SLOW)
     end = held(of, 5.0)
     assert of.press(np.array([0.05]), end + 1.0)[0] == pytest.approx(0.05)
-
-
-def test_half_of_the_spread_is_the_taxels_own_and_half_the_presses() -> None:
-    """Over 60 skins of 40 taxels, 20 presses each."""
-    config = replace(PLAIN, residue_slow=(0.01, 0.04), residue_slow_s=1e4, loading_s=0.01)
-    logs = []
-    for seed in range(60):
-        of = foam(config, 40, seed)
-        skin = []
-        for k in range(20):
-            of._left[:] = 0.0  # each press alone
-            of.press(np.ones(40), 2.0 * k)
-            of.press(np.ones(40), 2.0 * k + 1.0)
-            skin.append(np.log(of.press(np.zeros(40), 2.0 * k + 1.0)))
-            of.end()
-        logs.append(skin)
-    drawn = np.array(logs)  # (skins, presses, taxels)
-    rate = np.log(4.0) / 1.2816
-    assert np.median(drawn) == pytest.approx(np.log(0.01), abs=0.15)
-    assert drawn.mean(axis=1).std(axis=1).mean() == pytest.approx(rate * np.sqrt(0.5), rel=0.15)
-    assert drawn.mean(axis=2).std(axis=1).mean() == pytest.approx(rate * np.sqrt(0.5), rel=0.15)
 
 
 AWAY_STEPS = 60
@@ -293,21 +243,3 @@ def test_a_scenario_names_a_skin_and_replaces_single_keys_of_it(tmp_path: Path) 
     assert given.skin.residue_slow == POOR.residue_slow
     assert given.on("stiff").skin.sag_m == TYPICAL.sag_m, "its own keys go with it to another skin"
     assert written('physics = "scene"', tmp_path).skin == PLAIN
-
-
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
-        ('physics = "mesh"', "physics: must be one of scene, typical, poor, stiff, not 'mesh'"),
-        ("[mesh]\nsag_m = 0.003", "mesh.sag_m: must be a list of 2, not 0.003"),
-        ("[mesh]\nsag_m = [0.003, 0.001]", r"mesh.sag_m: must be \[median, 90th percentile\]"),
-        ("[mesh]\nresidue = [0.0, 0.1]", r"mesh.residue: must be \[0, 0\] or of a median over 0"),
-        ("[mesh]\ncreep = 0.1", "mesh.creep: unknown key; known: taxel_radius_m"),
-        ("mesh = 3", "mesh: must be a table, not 3"),
-    ],
-)
-def test_a_wrong_skin_is_refused_with_what_is_wrong_and_where(
-    text: str, fault: str, tmp_path: Path
-) -> None:
-    with pytest.raises(ConfigError, match=fault):
-        written(text, tmp_path)

@@ -1,19 +1,31 @@
-"""Trials: one world by two drivers, and what each condition changes."""
+"""Trials: one world by two drivers, what each condition changes, and what is noted of a touch."""
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from taxeld.arrays import Floats, Poses
+from taxeld.errors import SetupError
+from taxeld.model import contacts, se2
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle, choice
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.trials.play import SCAN_S, TICK_S, Direct
-from taxeld_hil.world.world import world_of
+from taxeld_hil.trials.case import SHIPPED, TABLED, Case
+from taxeld_hil.trials.play import SCAN_S, TICK_S, Direct, moments, play
+from taxeld_hil.world import plan
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.subjects import Subject
+from taxeld_hil.world.world import AWAY, World, world_of
+from tests.hil.rig import MODEL, MODULES, SKIN
 
 LINKS = scenario.load("links")
+TOUCHES = 6
+BOX, MUG = Subject("box"), Subject("mug")
 
 
 @pytest.mark.parametrize(
@@ -31,27 +43,232 @@ def test_both_drivers_give_the_same_estimates_where_the_wire_loses_nothing(
 ) -> None:
     """Bit by bit, scan by scan: from the same first scan on, which a hub sends once it has been
     started."""
-    run, wired, firsts = FakeRun(subject, 5), [], []
+    run, wired, scans = FakeRun(subject, 5), [], []
+    step = run.rig.world.step
+
+    def noted(t: float, link: int = 0, now: float | None = None) -> Any:
+        scans.append(t)
+        return step(t, link, now)
+
+    run.rig.world.step = noted  # type: ignore[method-assign]
     for k in range(round(100 * run.duration_s)):
         run.step(k * TICK_S)
         assert run.daemon is not None
-        if run.rig.ledger.scans_sent and not firsts:
-            firsts.append(k)
         wired.append(run.daemon.pipeline.estimate)
     config = bundle.sized(run.config, [each.manifest for each in run.scenes])
     models = [each.model for each in run.scenes]
     samples = choice.samples(run.scenes, config.filter)
-    skins = [link.layout for link in models[0].links]
-    direct = Direct(world_of(subject, 5), Pipeline(config, skins, models, samples), firsts[0])
-    told = {}
-    for outcome in direct.outcomes(run.duration_s):
-        told[round(outcome.estimate.t, 6)] = outcome.estimate
-    compared = 0
-    for estimate in wired:
-        mine = told.get(round(estimate.t, 6))
-        if estimate.t and mine is not None:
-            np.testing.assert_array_equal(mine.map, estimate.map)
-            assert (mine.p, mine.contacts) == (estimate.p, estimate.contacts)
-            compared += 1
-    assert compared > 0.9 * (run.duration_s - 3.0) / SCAN_S
+    pipeline = Pipeline(config, [link.layout for link in models[0].links], models, samples)
+    direct = Direct(world_of(subject, 5), pipeline, round(scans[0] / TICK_S))
+    told = {round(o.estimate.t, 6): o.estimate for o in direct.outcomes(run.duration_s)}
+    pairs = [(told[t], e) for e in wired if e.t and (t := round(e.t, 6)) in told]
+    for mine, estimate in pairs:
+        np.testing.assert_array_equal(mine.map, estimate.map)
+        assert (mine.p, mine.contacts) == (estimate.p, estimate.contacts)
+    assert len(pairs) > 15 * (run.duration_s - 3.0)
     assert wired[-1].contacts == subject.contacts
+
+
+def made(seed: int = 3, guide: str = "random", **given: Any) -> World:
+    """A world of presses of the box."""
+    found = World([MODEL], [MODULES], Conditions(**{"robot_m": 0.0} | given), seed)
+    found.plan(guide, TOUCHES)
+    return found
+
+
+def seen(world: World, t: float) -> Poses:
+    """The object in the frame of the sensor."""
+    return se2.compose(se2.inverse(world.sensor(t)), world.truth_at(t))
+
+
+def held(world: World) -> Poses:
+    """(N, 3) the object in the frame of the sensor while each press is held: in its middle."""
+    times = np.arange(0.0, world.duration_s, 0.005)
+    gap = gaps(world, times)
+    return np.array(
+        [
+            seen(world, own[gap[(times >= begin) & (times <= end)].argmin()])
+            for begin, end in world.touched_s()
+            for own in [times[(times >= begin) & (times <= end)]]
+        ]
+    )
+
+
+def gaps(world: World, times: Floats) -> Floats:
+    """Between the link and the object [m]."""
+    poses = np.array([seen(world, t) for t in times])
+    return contacts.clearance(MODEL.scene, SKIN.radius_m, poses)
+
+
+@pytest.mark.parametrize("guide", ["random", "around"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_touch_is_one_contact_no_deeper_than_asked_and_the_way_there_is_clear(
+    seed: int, guide: str
+) -> None:
+    world = made(seed, guide, press=(0.4, 0.9))
+    times = np.arange(0.0, world.duration_s, 0.005)
+    gap, touched = gaps(world, times), world.touched_s()
+    assert len(touched) == TOUCHES
+    within = ((touched[:, :1] <= times) & (times <= touched[:, 1:])).any(axis=0)
+    assert gap[~within].min() > 0.009
+    pressed = gap < 0.0
+    assert np.count_nonzero(np.diff(pressed.astype(int)) == 1) == TOUCHES
+    assert -0.0052 < gap.min() < -0.002
+    assert max(MODEL.activation(held(world)).max(axis=1)) > plan.TOUCH
+    step = np.diff([world.sensor(t)[:2] for t in times], axis=0)
+    assert np.linalg.norm(step, axis=1).max() < 0.005 * 0.251
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"kidnapped_after": 2},
+        {"moved_m": 0.02, "moved_rad": 0.1},
+        {"nudged_m": 0.002},
+        {"dead_share": 0.3},
+        {"dead_modules": 2},
+        {"stuck": 3},
+        {"drift": 0.1},
+        {"robot_m": 0.005, "robot_rad": 0.02},
+        {"foam": "poor"},
+    ],
+    ids=lambda given: next(iter(given)),
+)
+def test_a_condition_leaves_the_touches_of_a_seed_as_they_are(given: dict[str, Any]) -> None:
+    np.testing.assert_allclose(held(made()), held(made(**given)), atol=2e-4)
+
+
+def test_an_object_is_taken_elsewhere_once_moves_along_a_line_or_gives_way_to_each_press() -> None:
+    def truths(world: World) -> Poses:
+        return np.array([world.truth_at(end) for _, end in world.touched_s()])
+
+    taken = made(kidnapped_after=4)
+    off = np.abs(np.diff(truths(taken), axis=0)).max(axis=1)
+    assert (off > 0.0).tolist() == [False, False, False, True, False]
+    times = np.arange(0.0, taken.duration_s, 0.01)
+    carried = [t for t in times if np.array_equal(taken.truth_at(t)[:2], AWAY[:2])]
+    assert 0.0 < carried[-1] - carried[0] < 5.0, "while the robot goes to the new place"
+    step = np.diff(truths(made(moved_m=0.01, moved_rad=0.1)), axis=0)
+    np.testing.assert_allclose(step, np.broadcast_to(step[0], step.shape), atol=1e-9)
+    assert np.hypot(*step[0, :2]) == pytest.approx(0.01)
+    assert abs(step[0, 2]) == pytest.approx(0.1)
+    nudged = made(nudged_m=0.002)
+    for (begin, end), (_, before) in zip(
+        nudged.touched_s(), [(0.0, 0.0), *nudged.touched_s()], strict=False
+    ):
+        was, after = nudged.truth_at(before), nudged.truth_at(end)
+        assert np.array_equal(was, nudged.truth_at(begin)), "it stands until it is touched"
+        assert 0.0004 < np.hypot(*(after - was)[:2]) < 0.006
+        assert (after - was)[:2] @ (was - nudged.sensor(end))[:2] > 0.0, "away from the skin"
+
+
+def test_dead_taxels_read_0_stuck_ones_the_same_and_drift_grows_to_its_size() -> None:
+    quiet = {"keys": (("noise_counts", (0.0, 0.0)), ("gain_cv", 0.0))}
+
+    def counts(**given: Any) -> Floats:
+        world = made(**quiet, **given)
+        return np.array([world.step(t).counts for t in np.arange(0.0, world.duration_s, 0.05)])
+
+    plain, dead = counts(), counts(dead_share=0.25)
+    assert (dead == 0).all(axis=0).sum() == len(SKIN) // 4
+    assert (dead == 0).any(axis=0).sum() == len(SKIN) // 4
+    gone = (counts(dead_modules=2) == 0).all(axis=0).reshape(len(MODULES), -1)
+    assert np.count_nonzero(gone.any(axis=1)) == 2
+    stuck = counts(stuck=3)
+    assert (stuck != plain).any(axis=0).sum() == 3
+    np.testing.assert_array_equal(stuck[:30], plain[:30], "before the first touch all work")
+    drift = counts(drift=0.1)[-1] - plain[-1].astype(float)
+    most = 0.1 / 60.0 * 20_000.0 * 0.05 * (len(plain) - 1)
+    assert 0.5 * most < np.abs(drift).max() <= most + 1.0
+
+
+def test_touches_of_one_side_stay_there() -> None:
+    ax, ay = contacts.axis_in_object(held(made(one_side=True)))
+    angle = np.arctan2(ay - MODEL.scene.centre[1], ax - MODEL.scene.centre[0])
+    assert np.abs(se2.wrap(angle - angle[0])).max() <= 2.0 * plan.SIDE_RAD + 0.3
+
+
+def test_another_object_stands_beside_and_is_pressed_as_often_as_asked() -> None:
+    for seed in range(3):
+        world = made(seed, both=2)
+        assert world.twin is not None
+        edge = se2.apply(world.twin, MODEL.scene.edge)
+        gap = MODEL.scene.clearance(*edge.T)[0].min()
+        assert plan.TWIN_GAP_M - 0.004 < gap <= plan.TWIN_GAP_M
+        pressed = MODEL.activation(se2.compose(held(world), world.twin)).max(axis=1) > plan.TOUCH
+        assert pressed.sum() == 2
+
+
+def test_a_press_that_slips_stays_about_its_place() -> None:
+    world = made(hold_s=1.0, slip_m=0.001)
+    begin = world.touched_s()[0].mean()
+    places = world.paths[0].at(begin - 1.5 + np.arange(-0.2, 0.2, 0.01))[:, :2]
+    assert 1e-4 < np.ptp(places, axis=0).max() < 0.01
+
+
+def test_what_cannot_be_touched_or_is_no_name_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan, "BATCHES_MAX", 0)
+    with pytest.raises(SetupError, match="hardly exist"):
+        made()
+    for given, said in (
+        ({"foam": "wet"}, "no foam 'wet'; there are scene, typical, poor, stiff"),
+        ({"keys": (("creep", 1.0),)}, "no key 'creep' of a foam"),
+    ):
+        with pytest.raises(SetupError, match=said):
+            Conditions(**given)  # type: ignore[arg-type]
+    for key in ("guide", "motion"):
+        with pytest.raises(SetupError, match=f"{key}: no 'x'; there are"):
+            Case((BOX,), **{key: "x"})  # type: ignore[arg-type]
+    monkeypatch.undo()
+    with pytest.raises(SetupError, match="003_cracker_box: has no sampler 'density'"):
+        play(Case((Subject("003_cracker_box"),), method=SHIPPED), 0)
+
+
+def test_a_trial_notes_of_which_object_each_estimate_is_and_how_far_off() -> None:
+    found = play(Case((BOX, MUG), MUG), 2)
+    assert len(found) == 8
+    assert found[-1].object == 1
+    assert found[-1].objects[1] > 0.99
+    assert found[-1].error_mm < 10.0
+    assert all(touch.ms > touch.idle_ms * SCAN_S > 0.0 for touch in found)
+    wrong = play(Case((MUG,), BOX, touches=4), 2)
+    assert all(math.isnan(touch.error_mm) for touch in wrong)
+    again = play(Case((MUG,), BOX, touches=4), 2)
+    assert wrong[-1].p == again[-1].p
+
+
+@pytest.mark.parametrize(
+    ("given", "rows"),
+    [
+        ({"guide": "around"}, 3),
+        ({"guide": "straight"}, 3),
+        ({"guide": "advised"}, 3),
+        ({"layouts": LINKS.layouts[1:] * 2}, 3),
+        ({"guide": "push", "motion": "push"}, 4),
+        ({"guide": "push", "motion": "told"}, 4),
+    ],
+    ids=["around", "straight", "advised", "links", "push", "told"],
+)
+def test_a_trial_has_a_row_a_touch_by_any_guide(given: dict[str, Any], rows: int) -> None:
+    found = play(Case((BOX,), touches=3, **given), 1)
+    assert len(found) == rows
+    assert math.isfinite(found[-1].path_mm) == (rows == 4)
+    assert (found[-1].guide_ms > 0.0) == (given.get("guide") == "advised")
+
+
+def test_the_uninformed_baseline_is_farther_off_after_two_touches() -> None:
+    """What the inverse model is for: with the same particles, projection needs more touches."""
+    case = Case((BOX,), touches=2)
+    off = [
+        np.median([play(each, seed)[1].error_mm for seed in range(12)])
+        for each in (case, replace(case, method=replace(TABLED, proposal="projection")))
+    ]
+    assert off[0] < 0.5 * off[1]
+
+
+def test_the_scans_of_a_trial_come_without_a_filter_as_well() -> None:
+    scans = list(moments(Case((BOX,), touches=2), 1))
+    assert {scan.touch for scan in scans} == {0, 1}
+    felt = [s for s in scans if s.outcome.activation is not None and s.outcome.activation.z.any()]
+    assert len(felt) > 5
+    assert all(scan.outcome.sensor is not None for scan in felt)

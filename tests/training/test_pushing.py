@@ -9,9 +9,8 @@ from scipy import optimize
 from taxeld.arrays import Floats
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
-from taxeld.model.symmetry import PoseMetric
 from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.ground import DEPTH_M, Ground, by_ground, gave_way
+from taxeld_hil.world.ground import DEPTH_M, Ground, gave_way
 from taxeld_hil.world.world import World
 from taxeld_protocol.modules import wired
 
@@ -19,16 +18,6 @@ from .rig import gap_m
 
 TRIALS = 10
 STEP_M = 0.002  # way of the sensor between two scans
-
-
-class Calm(np.random.Generator):
-    """Draws zeros."""
-
-    def __init__(self) -> None:
-        super().__init__(np.random.PCG64(0))
-
-    def standard_normal(self, size: tuple[int, ...]) -> Floats:  # type: ignore[override]
-        return np.zeros(size)
 
 
 def even(friction: float = 0.4) -> Ground:
@@ -118,41 +107,3 @@ def test_a_contact_slips_where_its_friction_is_too_small() -> None:
         assert np.allclose(held, wanted) == holds
     smooth = slide(even(0.0), contact, wanted, inwards)
     assert np.allclose(smooth, [-0.001, 0.0, 0.0], atol=1e-6)
-
-
-def test_who_is_told_the_ground_pushes_every_particle_as_the_world_does(
-    ring_model: ObservationModel,
-) -> None:
-    before = np.array([0.03 + 0.04 - DEPTH_M, 0.006, 0.0])
-    after = before - [STEP_M, 0.0, 0.0]
-    turns = []
-    for seed in range(TRIALS):
-        ground = ground_of(ring_model, seed)
-        (pose,), _ = gave_way(ring_model, ground, np.zeros((1, 3)), before, after)
-        poses, pushed = by_ground(ground)(
-            ring_model,
-            PoseMetric(ring_model.scene),
-            np.zeros((3, 3)),
-            np.zeros((3, 4)),
-            before,
-            after,
-            DEPTH_M,
-            Calm(),
-        )
-        turns.append(abs(pose[2]))
-        assert np.allclose(poses, pose, atol=[5e-5, 5e-5, 2e-3])
-        assert np.allclose(pushed, STEP_M, atol=3e-4)
-    assert max(turns) > 3e-3
-
-
-def test_no_filter_knows_the_grounds_of_the_trials(ring_model: ObservationModel) -> None:
-    grounds = [ground_of(ring_model, seed) for seed in range(40)]
-    off = [np.linalg.norm(g.centre - ring_model.scene.centre) for g in grounds]
-    radius_m = ring_model.scene.mean_radius
-    assert 0.1 * radius_m < np.median(off) < 0.4 * radius_m  # no filter has a load off the centre
-    frictions = [g.friction for g in grounds]
-    assert min(frictions) < 0.3
-    assert max(frictions) > 0.5
-    again = ground_of(ring_model, 0)
-    assert np.array_equal(again.points, grounds[0].points)
-    assert all(np.isclose(g.load.sum(), 1.0) for g in grounds)

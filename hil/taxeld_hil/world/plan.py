@@ -206,7 +206,6 @@ class Toucher:
         self.robot = LinkRobot(model.layout)
         self._model, self._given, self._is_around = model, given, guide == "around"
         self._reach_m = model.scene.size if self._is_around else model.scene.reach
-        self._most = math.inf if guide in PLANNED else 1  # presses that are drawn
         self._rng = np.random.default_rng(seed if self._is_around else [seed, 22])
         self._first = self._angle = float(self._rng.uniform(-np.pi, np.pi))
         self._count = 0
@@ -218,10 +217,7 @@ class Toucher:
         if twin is not None:
             far = np.linalg.norm(se2.apply(twin, scene.edge) - scene.centre, axis=1)
             self._reach_m = max(self._reach_m, float(far.max()))
-        if not self._is_around:
-            count = int(min(touches, self._most))
-            given = self._model, self._given
-            self._presses = presses(*given, count, self._rng, self._reach_m, twin)
+        self._twin, self._presses = twin, np.empty((0, 3))  # drawn when the first one is wanted
         self.robot.start(self._circle(place).at(self._first), self._first)
 
     def arrive(self, place: Poses, now: float, approach: Approach | None) -> Poses | None:
@@ -237,7 +233,7 @@ class Toucher:
             begin, turn = line[0], self._angle - was
         else:
             if approach is None:
-                line = circle.normal(self._presses[self._count])
+                line = circle.normal(self._press())
                 begin = line[0]
             else:
                 line, begin = circle.advised(approach), approach.before
@@ -246,6 +242,13 @@ class Toucher:
         self._count += 1
         robot.travel(circle.at(_arc(was, turn), least_m), float(begin[2]))
         return line
+
+    def _press(self) -> Poses:
+        """The press (3,) with the number of the next touch."""
+        if not len(self._presses):
+            given = self._model, self._given, self._touches
+            self._presses = presses(*given, self._rng, self._reach_m, self._twin)
+        return np.asarray(self._presses[self._count])
 
     def press(self, line: Poses, moved: Poses, rng: np.random.Generator) -> tuple[float, float]:
         """As `LinkRobot.press`, of an object that the press moves by `moved` (3,) in the world;

@@ -97,6 +97,8 @@ class SimulatedSkin:
         if was_pressed and not self.depth.any():
             self._sag_m.draw()
             self._foam.end()
+        if not self.depth.any() and not self._foam.is_felt:
+            return np.zeros(len(self.depth))
         reading = self._foam.press(self.response(self.depth), t)
         return self._cross_talk.add(self.full_scale * reading)
 
@@ -115,4 +117,5 @@ class SimulatedSkin:
         leak = np.bincount(module, pressed)[module] * T0_LEAK
         values = np.where(at >= 0, taxels[at], T0_COUNTS + leak + thermal)
         counts = np.clip(np.round(values), 1, COUNT_MAX - 1)
-        return [int(v) for v in np.where((at >= 0) & self._dead[at], 0.0, counts)]
+        found: list[int] = np.where((at >= 0) & self._dead[at], 0.0, counts).astype(int).tolist()
+        return found

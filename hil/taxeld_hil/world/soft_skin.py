@@ -75,6 +75,11 @@ class Foam:
         held = reading * (1.0 + self._loop * self._receding)
         return np.asarray(np.maximum(held, self._left.sum(axis=0)))
 
+    @property
+    def is_felt(self) -> bool:
+        """Whether the last scan was of a press, or anything stays of earlier ones."""
+        return bool(self._reading.any() or self._left.any())
+
     def end(self) -> None:
         """A press is over: the next one has shares of its own."""
         for share in self._share:

@@ -38,8 +38,7 @@ AWAY = np.array([100.0, 100.0, 0.0])  # where the object is while it is carried 
 class Step(NamedTuple):
     """The world at a moment, for one link of M taxels."""
 
-    sensor: Poses  # (3,) as it is
-    stated: Poses  # (3,) as the robot states it
+    sensor: Poses  # (3,) as it is; `World.stated` has what the robot states
     truth: Poses  # (3,) of the object
     depth: Floats  # (M,) of the press, in depths at full scale
     counts: list[int]  # channel by channel
@@ -224,7 +223,7 @@ class World:
         skin, begun = self.skins[link], self.paths[link].touched
         touching = bool(len(begun)) and t - IDLE_S >= begun[0, 0]
         counts = skin.counts(seen, t if now is None else now, touching=touching)
-        return Step(sensor, self.stated(t, link), truth, skin.depth, counts)
+        return Step(sensor, truth, skin.depth, counts)
 
 
 def world_of(scenario: Scenario, seed: int) -> World:
