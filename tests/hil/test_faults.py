@@ -85,12 +85,9 @@ def test_counts_of_the_named_taxels_change_and_no_others() -> None:
         subject, _ = injector(fault)
         assert subject.counts(list(counts), 0.5) == expected
         assert subject.counts(list(counts), 2.0) == counts
-
-
-def test_a_stuck_taxel_reads_what_it_read_when_it_stuck() -> None:
     subject, _ = injector(Fault("taxel_stuck", 1.0, 1.0, taxels=(0,)))
     read = [subject.counts([0, 100 + k, 0, 0, 0, 0], 0.5 * k)[1] for k in range(6)]
-    assert read == [100, 101, 102, 102, 104, 105]
+    assert read == [100, 101, 102, 102, 104, 105], "what it read when it stuck"
 
 
 def test_a_flooded_bus_has_so_many_foreign_frames_a_second() -> None:
@@ -117,24 +114,6 @@ def test_poses_freeze_jump_are_late_or_missing_as_the_fault_says() -> None:
     late = published(Fault("pose_late", 1.0, 1.0, delay_s=0.5))
     assert sorted(late) == [(0.1 * k, float(k), 0.0, 0.0) for k in range(30)]
     assert late != sorted(late)
-
-
-def test_a_frame_that_is_lost_without_the_ledger_breaks_a_law() -> None:
-    run = FakeRun(replace(DEMO, contacts=2), seed=0)
-    lost: list[Frame] = []
-    take = run.line.take
-
-    def lossy() -> list[Frame]:
-        items = take()
-        if len(items) > 5 and not lost and run.line.t > 2.0:
-            lost.append(items.pop(3))  # type: ignore[arg-type]
-        return items  # type: ignore[return-value]
-
-    run.line.take = lossy  # type: ignore[method-assign]
-    result = run.graded("demo")
-    broken = {c.name.removeprefix("accounts: ") for c in result.checks if c.passed is False}
-    assert {"frames", "packets whole", "packets of wrong length", "scans"} <= broken
-    assert not result.passed
 
 
 def test_a_counter_of_the_daemon_that_is_off_by_one_breaks_a_law(tmp_path: Path) -> None:
@@ -357,8 +336,9 @@ def test_a_host_that_reads_a_scan_in_two_parts_keeps_the_laws_and_one_that_loses
         return [frame._replace(t=run.line.now) for frame in now]
 
     run.line.take = busy  # type: ignore[method-assign]
-    held = {law["name"]: law for law in run.graded("demo").figures["laws"]}
+    graded = run.graded("demo")
+    held = {law["name"]: law for law in graded.figures["laws"]}
     broken = {name for name, law in held.items() if not law["holds"]}
     assert held["scans incomplete"]["counted"] > 10, "scans were read in parts"
-    assert ("scans incomplete" in broken) == ("packets whole" in broken) == loses
-    assert loses or not broken
+    assert broken >= {"frames", "packets whole", "scans incomplete"} if loses else not broken
+    assert {f"accounts: {name}" for name in broken} <= {*graded.failed}

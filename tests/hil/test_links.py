@@ -21,10 +21,6 @@ from tests.hil.rig import passing
 pytestmark = pytest.mark.check
 
 LINKS = scenario.load("links")
-PATCHES = [
-    Path(__file__).parents[3] / "shared/data/layouts" / f"ur10e_link{number}_patch1.json"
-    for number in (1, 2)
-]
 
 
 @pytest.mark.parametrize("one_bus", [True, False])
@@ -41,11 +37,6 @@ def test_a_session_of_two_links_replays_to_the_object_that_both_have_touched(
     last = read(tmp_path, 2).estimates[[*POSE]][-1].tolist()
     np.testing.assert_allclose(found[-1].estimate.map, last, atol=0.01)
     assert found[-1].estimate.contacts == LINKS.contacts
-
-
-@pytest.mark.skipif(not PATCHES[0].exists(), reason="the layouts of UR10e are not here")
-def test_two_patches_of_an_arm_find_the_object() -> None:
-    passing(LINKS.on("", *map(str, PATCHES)))
 
 
 @pytest.mark.smoke
@@ -95,12 +86,9 @@ def test_links_that_do_not_fit_a_scenario_are_refused(keys: dict[str, object], s
         FakeRun(replace(LINKS, **keys), 0)  # type: ignore[arg-type]
 
 
-def test_several_layouts_are_links_and_one_is_the_only_skin() -> None:
+def test_several_layouts_are_links_which_real_time_does_not_have() -> None:
     assert LINKS.on("", "a", "b").layouts == ("a", "b")
     assert LINKS.on("", LINKS.layouts[1]).links == 1
     assert LINKS.on("", "").layouts == LINKS.layouts
-
-
-def test_several_links_in_real_time_are_refused() -> None:
     with pytest.raises(SetupError, match="several links run on the fake clock alone: --clock fake"):
         SimulatedRun(LINKS, 0)

@@ -1,4 +1,4 @@
-"""The grade of a run: estimates against the truth, flags in time, counters against the ledger.
+"""The grade of a session: estimates against the truth, flags in time, counters against the ledger.
 
 It uses what the daemon publishes, and nothing of its inside.
 """
