@@ -26,10 +26,9 @@ from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle
 from taxeld_hil.integrity import Claims
 from taxeld_hil.objects import meshes
-from taxeld_training import progress
+from taxeld_training import closing, progress
 from taxeld_training.build import summary
 from taxeld_training.cli import main
-from taxeld_training.filters import touches
 from taxeld_training.limits import quality
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Nearness, choose
@@ -67,7 +66,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(candidates, "CONTACTS_OF", (5000, 0))
         patch.setattr(candidates, "BANK_OF", (5000, 0))
         patch.setattr(candidates, "READINGS_OF", (4, 0))
-        patch.setattr(touches, "FEW", 2)
+        patch.setattr(closing, "FEW", 2)
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
             assert main(["build", str(place / "block.stl"), *where, *small]) == 0
     (place / "out").write_text(out.getvalue(), encoding="utf-8")
@@ -179,7 +178,7 @@ def test_a_killed_build_leaves_no_worker_behind(block: Path, tmp_path: Path) -> 
         stderr=subprocess.DEVNULL,
     )
     workers: set[Path] = set()
-    while len(workers) < touches.WORKERS:
+    while len(workers) < closing.WORKERS:
         assert build.poll() is None, "it ended before its workers began"
         workers = {path for path in _children(build.pid) if b"spawn_main" in _command(path)}
     build.kill()
@@ -205,15 +204,12 @@ def _command(process: Path) -> bytes:
 
 
 def test_trials_are_the_same_by_any_number_of_workers(
-    built: Path, monkeypatch: pytest.MonkeyPatch
+    built: Path, info: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    counted = []
-    for workers in (1, 2):
-        monkeypatch.setattr(touches, "WORKERS", workers)
-        monkeypatch.setattr(touches, "BLOCK", workers)
-        asked = built, layouts.load(SKIN), "poor", 2, lambda *_: None
-        counted.append(touches.counted(*asked))
-    assert counted[0] == counted[1]
+    monkeypatch.setattr(closing, "WORKERS", 1)
+    monkeypatch.setattr(closing, "BLOCK", 1)
+    told = closing.counted(built, SKIN, "poor", 2, lambda *_: None)
+    assert told["touches"] == info["touches"]
 
 
 @pytest.mark.parametrize(("own", "pays"), [(20, False), (32, True)])
@@ -238,14 +234,14 @@ def test_the_summary_says_whether_the_sampler_paid_and_has_a_cure_where_it_clear
 def test_trials_choose_the_filter_that_the_daemon_runs_if_there_are_enough_of_them(
     built: Path, info: dict[str, Any], trials: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(touches, "ENOUGH", 2)
-    monkeypatch.setattr(touches, "SIZES", (25, 50, 100))
-    monkeypatch.setattr(touches, "WORKERS", 1)
-    told = touches.counted(built, layouts.load(SKIN), "exact", trials, lambda *_: None)
+    monkeypatch.setattr(closing, "ENOUGH", 2)
+    monkeypatch.setattr(closing, "SIZES", (25, 50, 100))
+    monkeypatch.setattr(closing, "WORKERS", 1)
+    told = closing.counted(built, SKIN, "exact", trials, lambda *_: None)
     if trials < 2:
         assert told.keys() == {"touches"}
         return
-    filters = touches.tried(_sampler(info), trials)
+    filters = closing.tried(_sampler(info), trials)
     assert list(told["touches"]["found_and_sure"]) == list(filters)
     assert sorted(told["auto"]) == sorted(info["auto"])
     keys = told["filter"]
@@ -254,6 +250,23 @@ def test_trials_choose_the_filter_that_the_daemon_runs_if_there_are_enough_of_th
     said = "\n".join(summary(built, info | told, SKIN))
     count = told["touches"]["found_and_sure"][name][5]
     assert f"enough     {name} particles, {keys['injected']} samples: {count} of 2" in said
+
+
+@pytest.mark.parametrize(
+    ("of_box", "median", "most", "left"),
+    [
+        # parted after 4: it was in doubt again
+        ([[0.5, 0.999, 0.5, 0.999], [0.5, 0.999, 0.999, 0.999]], 2, 4, 0.0),
+        ([[0.5, 0.5, 0.5, 0.5], [0.5, 0.5, 0.5, 0.999]], 4, None, 0.5),
+    ],
+)
+def test_a_pair_is_parted_once_the_touched_one_stays_likely_to_the_end(
+    of_box: list[list[float]], median: int, most: int | None, left: float
+) -> None:
+    first = np.array(of_box)
+    told = closing.parting(np.stack([first, 0.9 * (1.0 - first)], axis=2), 0, 1)
+    assert (told["median"], told["q90"], told["not_parted"]) == (median, most, left)
+    assert told["alike"] == (left >= 0.5)
 
 
 HARD = np.random.default_rng(0).uniform(0.3, 0.9, 40)  # trials are hard for all filters alike
@@ -272,7 +285,7 @@ NOISY = HARD + np.random.default_rng(1).normal(0.0, 0.2, 40)
 def test_the_first_filter_that_is_shown_to_be_as_good_as_the_best_is_enough(
     worths: list[np.ndarray], usual: int, chosen: int
 ) -> None:
-    assert touches.enough(worths, usual) == chosen
+    assert closing.enough(worths, usual) == chosen
 
 
 def test_being_sure_and_wrong_once_weighs_more_than_being_sure_earlier() -> None:
@@ -284,7 +297,7 @@ def test_being_sure_and_wrong_once_weighs_more_than_being_sure_earlier() -> None
     good, doubted, wrong = (1.0, 1.0), (0.5, 1.0), (1.0, 99.0)
     early = trials(*[[good] * 8] * 9, [*[good] * 7, wrong])
     late = trials(*[[doubted, *[good] * 7]] * 10)
-    assert touches.worth(early).mean() < touches.worth(late).mean()
+    assert closing.worth(early).mean() < closing.worth(late).mean()
 
 
 @pytest.mark.parametrize(
@@ -477,8 +490,8 @@ def solids(tmp_path: Path) -> Path:
 def test_boxes_that_differ_only_above_the_skin_are_alike_and_a_mug_is_not(
     solids: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(touches, "ENOUGH", 2)
-    monkeypatch.setattr(touches, "WORKERS", 1)
+    monkeypatch.setattr(closing, "ENOUGH", 2)
+    monkeypatch.setattr(closing, "WORKERS", 1)
     objects = [str(solids / "tall.stl"), str(solids / "short.stl"), "025_mug"]
     asked = ["--layout", rig.RING, "--table", "--foam", "exact", "--out", str(solids / "made")]
     assert main(["build", *objects, *asked]) == 0

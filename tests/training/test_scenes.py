@@ -16,6 +16,7 @@ from taxeld.proposals import manifest
 from taxeld.stream import messages
 from taxeld_hil.objects import meshes, scenes
 from taxeld_hil.objects.scenes import GridError, grid_error
+from taxeld_training.objects.report import doubts
 
 from .rig import PAPER_RING, THREE_ROWS, box, can, handle
 
@@ -158,6 +159,7 @@ def test_the_papers_objects_have_their_symmetry_and_exact_grids(name: str, order
     assert attribution is not None
     assert "CC BY 4.0" in attribution
     mesh = meshes.load(path)
+    assert doubts(mesh, skin, 0.04) == []
     scene = scenes.build(mesh, skin, 0.04)
     assert scene.symmetry == order
     error = grid_error(scene, mesh, skin, 0.04, 0.005, points=300)

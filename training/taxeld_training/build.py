@@ -22,15 +22,13 @@ from taxeld.model.observation import ObservationModel
 from taxeld.proposals import manifest
 from taxeld_hil.objects import bundles, meshes
 from taxeld_hil.trials.case import SHIPPED, Method
-from taxeld_training import progress
-from taxeld_training.filters import touches
+from taxeld_training import closing, progress
 from taxeld_training.objects.report import doubts
-from taxeld_training.progress import Tell
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates
 
 SCENE = "scene"
-STAGES = (SCENE, *candidates.STAGES, touches.STAGE)  # of a bundle with a sampler, in order
+STAGES = (SCENE, *candidates.STAGES, closing.STAGE)  # of a bundle with a sampler, in order
 ALIKE = "alike.json"
 AFTER = 6  # touches that the summary speaks of
 
@@ -46,7 +44,7 @@ class Build:
     out: Path  # the bundle of one object; of several the directory of theirs
     sampler: Candidates | None  # None: the table of simulated contacts proposes poses
     foam: str = "typical"  # of the trials at the end
-    trials: int = touches.ENOUGH
+    trials: int = closing.ENOUGH
 
     def run(self) -> Iterator[str]:
         """Build them; → lines on them. A bundle in an older one's place is moved there when it is
@@ -67,9 +65,9 @@ class Build:
                 say(f"{number}/{len(places)} {name}")
             yield from self._one(name, out)
         if len(places) > 1:
-            with progress.shown((touches.PAIRS,), sys.stderr) as tell:
+            with progress.shown((closing.PAIRS,), sys.stderr) as tell:
                 folders, skin = list(places.values()), self.layouts[0]
-                told = touches.pairs(folders, skin, self.foam, self.trials, tell)
+                told = closing.pairs(folders, skin, self.foam, self.trials, tell)
             yield from pairs(told, self.out)
         yield f"took       {time.monotonic() - began_s:.0f} s"
         if len(places) > 1:
@@ -82,8 +80,8 @@ class Build:
 
     def _places(self) -> dict[str, Path]:
         """The directory of each object's bundle."""
-        if self.foam not in touches.FOAMS:
-            known = ", ".join(touches.FOAMS)
+        if self.foam not in closing.FOAMS:
+            known = ", ".join(closing.FOAMS)
             raise SetupError(f"--foam: no foam '{self.foam}'; there are {known}")
         places = {self.names[0]: self.out}
         if len(self.names) > 1:
@@ -105,7 +103,9 @@ class Build:
             model = self._write(name, made)
             tell(SCENE, 1.0)
             if self.sampler:
-                self._train(model, self.sampler, made, tell)
+                bundles.seal(made, candidates.make(model, self.sampler, made, tell))
+                told = closing.counted(made, self.layouts[0], self.foam, self.trials, tell)
+                bundles.seal(made, told)
         info = json.loads((out / manifest.NAME).read_text(encoding="utf-8"))
         for repair in info["repairs"]:
             say(f"taxeld-train: {name}: {repair}")
@@ -117,11 +117,6 @@ class Build:
         except SetupError as error:
             fault = str(error)
             raise SetupError(fault if fault.startswith(name) else f"{name}: {fault}") from None
-
-    def _train(self, model: ObservationModel, given: Candidates, made: Path, tell: Tell) -> None:
-        bundles.seal(made, candidates.make(model, given, made, tell))
-        told = touches.counted(made, self.layouts[0], self.foam, self.trials, tell)
-        bundles.seal(made, told)
 
 
 def command(name: str, layout: str, height_m: float, depth_m: float) -> str:
@@ -149,7 +144,7 @@ def summary(out: Path, info: dict[str, Any], layout: str, *, is_one: bool = True
 
 
 def _how_good(info: dict[str, Any]) -> Iterator[str]:
-    tried, usual = info["touches"], touches.size(SHIPPED)
+    tried, usual = info["touches"], closing.size(SHIPPED)
     counts = {name: found[AFTER - 1] for name, found in tried["found_and_sure"].items()}
     wrong = {name: sum(of_touch) for name, of_touch in tried["misleading"].items()}
     table, own = (name for name in counts if name.endswith(usual))
@@ -169,7 +164,7 @@ def _how_good(info: dict[str, Any]) -> Iterator[str]:
     if "filter" in info:
         size = info["filter"]
         chosen = Method(info["auto"][0], "", size["particles"], size["particles_max"])
-        name = f"{chosen.proposal} {touches.size(chosen)}"
+        name = f"{chosen.proposal} {closing.size(chosen)}"
         yield (
             f"enough     {name} particles, {size['injected']} samples: {counts[name]} of {n}, "
             f"{wrong[name]} misleading"

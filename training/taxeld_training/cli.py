@@ -11,7 +11,6 @@ from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld_hil import options
 from taxeld_hil.objects import HEIGHT_M
-from taxeld_training.objects import DEPTH_MAX_M
 
 QUESTIONS = "works, whole, map, which, advice, push, samplers"
 DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
@@ -30,8 +29,8 @@ def _build(args: argparse.Namespace) -> int:
     taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --table --out bracket
     taxeld-train build 003_cracker_box 025_mug 035_power_drill --table --out bank
     """
+    from taxeld_training import closing
     from taxeld_training.build import Build
-    from taxeld_training.filters import touches
     from taxeld_training.samplers import candidates
 
     skins, heights_m = args.layout or [SkinConfig().layout], args.height_m or [HEIGHT_M]
@@ -42,7 +41,7 @@ def _build(args: argparse.Namespace) -> int:
         )
     heights_m = (heights_m * len(skins))[: len(skins)]
     sampler = None if args.table else candidates.of(args.effort, ddpm=args.ddpm)
-    trials = touches.ENOUGH if args.table or args.effort >= 1.0 else touches.FEW
+    trials = closing.ENOUGH if args.table or args.effort >= 1.0 else closing.FEW
     asked = args.object, skins, heights_m, _depth_m(args), args.out, sampler, args.foam, trials
     for line in Build(*asked).run():
         print(line)
@@ -142,7 +141,13 @@ def _add_skin(made: argparse.ArgumentParser, more: str = "", action: str = "stor
     about = f"the sensor frame's origin above the object's lowest point{more} (default {HEIGHT_M})"
     made.add_argument("--height-m", type=float, metavar="H", help=about, action=action)
     about = "depth of a press at full scale (default %(default)g)"
-    made.add_argument("--depth-mm", type=float, default=1e3 * DEPTH_MAX_M, metavar="D", help=about)
+    made.add_argument(
+        "--depth-mm",
+        type=float,
+        default=1e3 * SkinConfig().full_scale_depth_m,
+        metavar="D",
+        help=about,
+    )
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -1,9 +1,8 @@
-"""The trials that a build ends with: how good a bundle is in touches, and what touch tells apart.
+"""The trials that a build ends with: whether a sampler pays, and what touch cannot tell apart.
 
-A trial is a random sequence of touches of an object on the bundle's own skin. After each touch a
-filter has *found* the object or not, is *sure* or not, and may *mislead*, as everywhere. Filters of
-several sizes, with the bundle's own sampler and with the table, meet the same touches. The bundle
-says which of them is enough, and the daemon runs that one.
+They are trials as everywhere: after each touch a filter has *found* the object or not, is *sure* or
+not, and may *mislead*. Filters of several sizes, with the bundle's own sampler and with the table,
+meet the same touches. The bundle says which of them is enough, and the daemon runs that one.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,8 +24,7 @@ from taxeld_hil.trials.case import SHIPPED, TABLED, Case, Method
 from taxeld_hil.trials.play import Touch, play
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.subjects import Subject
-from taxeld_training.filters import identities
-from taxeld_training.filters.identities import Identities
+from taxeld_training.progress import Tell
 from taxeld_training.samplers.candidates import interval
 
 STAGE, PAIRS = "trials", "pairs"
@@ -40,11 +38,10 @@ TOUCHES = 8  # of a trial
 ENOUGH, FEW = 40, 8  # trials; fewer than enough choose no filter
 MARGIN = 0.01  # share of the touches by which a filter that is as good may fall behind
 MISLED = 10.0  # touches found and sure that one misleading takes away
+PARTED = 0.99  # probability of the touched object, were there but one other, that parts the two
+ALIKE = 0.5  # share of trials that leave two objects together, from which they are alike
 BLOCK = 5  # trials after which a worker tells of its progress
 WORKERS = 2
-
-Progress = Callable[[str, float], None]
-"""Is told a stage, and the share of it that is done."""
 
 
 def size(method: Method) -> str:
@@ -65,16 +62,14 @@ def tried(sampler: str, trials: int) -> dict[str, Method]:
     return {f"{each.proposal} {size(each)}": each for each in filters}
 
 
-def counted(
-    folder: Path, layout: str, foam: str, trials: int, progress: Progress
-) -> dict[str, Any]:
+def counted(folder: Path, layout: str, foam: str, trials: int, tell: Tell) -> dict[str, Any]:
     """The part of bundle.json about the trials of the bundle in `folder`: of each filter, how many
     had found their object and were sure of it after each touch, and how many misled; and the
     filter that is enough. All meet the same touches."""
     order = bundle.load(str(folder), layouts.load(layout)).order
     filters = tried(next(name for name in order if name not in ANALYTIC), trials)
     of = [(method, 0) for method in filters.values()]
-    done = _played([folder], layout, foam, of, trials, partial(progress, STAGE))
+    done = _played([folder], layout, foam, of, trials, partial(tell, STAGE))
     told = dict(zip(filters, map(Claims.of_trials, done), strict=True))
     return _chosen(filters, told, order) | {
         "touches": {
@@ -87,17 +82,41 @@ def counted(
 
 
 def pairs(
-    folders: Sequence[Path], layout: str, foam: str, trials: int, progress: Progress
+    folders: Sequence[Path], layout: str, foam: str, trials: int, tell: Tell
 ) -> dict[str, Any]:
     """How many touches part each pair of the objects of the bundles in `folders`. Each object is
     touched in turn, and a filter that knows them all, with the table, says which one it is. What
     the trials do not part is alike: whoever runs these bundles together cannot expect to be told
     which of them it is."""
     of = [(TABLED, true) for true in range(len(folders))]
-    done = _played(folders, layout, foam, of, trials, partial(progress, PAIRS))
-    given = Identities.of([(true, run) for true, runs in enumerate(done) for run in runs])
-    told = identities.parting(given, [folder.name for folder in folders])
-    return {"foam": foam, "trials": trials, "touches": TOUCHES, "pairs": told}
+    done = _played(folders, layout, foam, of, trials, partial(tell, PAIRS))
+    names, found = [folder.name for folder in folders], []
+    for true, runs in enumerate(done):
+        objects = np.array([[touch.objects for touch in run] for run in runs])
+        others = [k for k in range(len(names)) if k != true]
+        found += [
+            {"object": names[true], "other": names[k], **parting(objects, true, k)} for k in others
+        ]
+    return {"foam": foam, "trials": trials, "touches": TOUCHES, "pairs": found}
+
+
+def parting(objects: Floats, true: int, other: int) -> dict[str, Any]:
+    """How many touches part two objects, by the probabilities (N, T, K) of all in N trials with the
+    object `true`. A trial parts them once that one has a probability of `PARTED`, were there but
+    these two, to the end; null: not by then."""
+    touches = objects.shape[1]
+    apart = objects[..., true] >= PARTED * (objects[..., true] + objects[..., other])
+    stays = np.logical_and.accumulate(apart[:, ::-1], axis=1)
+    after = touches - stays.sum(axis=1) + 1  # touches + 1: never
+    median, most = np.quantile(after, [0.5, 0.9], method="inverted_cdf").tolist()
+    left = float((after > touches).mean())
+    return {
+        "median": int(median) if median <= touches else None,
+        "q90": int(most) if most <= touches else None,
+        "not_parted": round(left, 4),
+        "alike": left >= ALIKE,
+        "trials": len(objects),
+    }
 
 
 def enough(worths: Sequence[Floats], usual: int) -> int:
