@@ -180,20 +180,6 @@ def test_the_truth_stays_in_the_belief_and_the_estimate_reaches_it(
         assert symmetry.add_m(model.scene, estimate, truth)[1] < 0.002
 
 
-def test_a_finer_grid_has_the_same_belief(model: ObservationModel) -> None:
-    rng = situation(5)
-    truth = np.array([0.1, 0.2, 0.3])
-    beliefs = GridFilter(model, NOISE), GridFilter(model, NOISE, cells=200_000, coarse=0.1)
-    for pose in contact_poses(model, 3, rng):
-        z = NOISE.draw(model.activation(pose[None])[0], rng)
-        for belief in beliefs:
-            sensor = se2.compose(truth, se2.inverse(pose))
-            belief.update(Observation(sensor, z, LIVE), touched=True)
-        usual, fine = (drawn(belief, 1000) for belief in beliefs)
-        assert energy_distance(usual, fine, 0.05) < 0.01
-    assert len(beliefs[1]) > 2 * len(beliefs[0])
-
-
 def test_there_is_no_belief_before_the_first_touch(model: ObservationModel) -> None:
     belief = GridFilter(model, NOISE)
     z = NOISE.draw(np.zeros(len(SKIN)), situation(0))

@@ -50,15 +50,7 @@ class GridFilter:
     not be zero. The same scans give the same belief.
     """
 
-    def __init__(
-        self,
-        model: ObservationModel,
-        noise: Noise,
-        slack: Slack | None = None,
-        *,
-        cells: int = CELLS,
-        coarse: float = COARSE,
-    ) -> None:
+    def __init__(self, model: ObservationModel, noise: Noise, slack: Slack | None = None) -> None:
         """`slack`: by how much scans may be off, as the estimator has it; none at all if it is not
         given."""
         self.metric = PoseMetric(model.scene)
@@ -66,8 +58,6 @@ class GridFilter:
         self._model = model
         self._likelihood = CellLikelihood(model, noise)
         self._touch = TOUCH_SIGMAS * noise.sigma
-        self._most = cells
-        self._coarse = coarse
         self._scans: list[GridScan] = []
         self._scale = 0  # index into SCALES of the likeliest; the least scale has the fewest cells
         self._weighed = 0  # scans that the cells have taken
@@ -188,7 +178,7 @@ class GridFilter:
     def _likely(self, cells: Cells) -> Cells:
         """The cells in which some pose may weigh something. The bar is what a cell has on the mean,
         or a fine one at its best: a coarse one at its best promises more than it holds."""
-        fine = cells.information.max(axis=1) <= self._coarse
+        fine = cells.information.max(axis=1) <= COARSE
         bar = cells.log_likelihood_max.max(initial=-np.inf, where=fine)
         bar = max(bar, cells.log_likelihood.max())
         return cells[cells.log_likelihood_max >= bar - DROP_NATS]
@@ -199,8 +189,8 @@ class GridFilter:
         while True:
             cells = self._likely(cells)
             weight = cells.log_weight_max
-            coarse = (cells.information.max(axis=1) > self._coarse) & (weight > np.log(SHARE))
-            room = self._most - len(cells)
+            coarse = (cells.information.max(axis=1) > COARSE) & (weight > np.log(SHARE))
+            room = CELLS - len(cells)
             if not coarse.any() or room <= 0:
                 return cells
             if coarse.sum() > room:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model.contacts import Proposal
@@ -130,16 +129,9 @@ def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Fl
 
 def cost_ms(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:
     """Median CPU time [ms] of a call for SAMPLES samples on this thread, the first left out."""
-    order = [k % len(to.z) for k in range(TIMED_CALLS + 1)]
-    spent = [call_ms(proposal, to.z[i], to.live[i], rng) for i in order]
-    return float(np.median(spent[1:]))
-
-
-def call_ms(
-    proposal: Proposal, z: NDArray[np.float64], live: NDArray[np.bool_], rng: np.random.Generator
-) -> float:
-    """CPU time [ms] of one call for SAMPLES samples of a reading z (M,), live (M,), on this
-    thread."""
-    start = time.thread_time_ns()
-    proposal.propose(z, live, SAMPLES, rng)
-    return (time.thread_time_ns() - start) / 1e6
+    spent_ns = []
+    for k in range(TIMED_CALLS + 1):
+        i, start_ns = k % len(to.z), time.thread_time_ns()
+        proposal.propose(to.z[i], to.live[i], SAMPLES, rng)
+        spent_ns.append(time.thread_time_ns() - start_ns)
+    return float(np.median(spent_ns[1:])) / 1e6
