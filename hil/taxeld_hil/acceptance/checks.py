@@ -21,16 +21,15 @@ RATE_OFF = 0.1  # share of the period; a hub's clock is far better
 JITTER_OFF = 1.0 - GAP_SHARE  # share of the period: an earlier scan may join the last one
 MISSED = 0.01  # share of the scans, without a damaged packet to explain them
 SCANS_MIN = 10  # scans that tell the rate of a hub
-T0_S = 3.0  # time after which a T0 is known
+LEARN_SCANS = 60  # scans in which some taxel of a quiet skin gets its baseline
+T0_KNOWN_S = 3.0  # time after which a T0 is known
+T0_NOISE = 10.0  # times the median change of a T0: its noise changes it less
 DAMAGED = 0.001  # share of the packets; CAN repeats damaged frames, so none should be
 WEAK = 0.1  # full scales; a taxel's strongest on a real skin is 0.43 (median)
 STRONG = 1.5  # full scales: activations end at 1, so stronger presses read the same
 NAMES_MAX = 12  # names in one line
 
-POWER = (
-    "check that the hub has power, that CAN-H and CAN-L are not exchanged, and that the bus ends "
-    "in 120 Ω at both ends and runs at 1 Mbit/s"
-)
+POWER = "check that the hub has power, CAN-H and CAN-L, 1 Mbit/s, and 120 Ω at the bus's ends"
 KIND = "check the target's kind (can, slcan or serial) and its bit rate or baud rate"
 ADAPTER = "check the adapter's plug, cable and supply, and that no other program uses it"
 HOST = "stop any other host that drives this hub, and switch the hub off and on"
@@ -109,10 +108,7 @@ def modules(got: Received) -> Iterator[Rule]:
     yield _none("modules", "with one serial number", twice, "give each its own number")
     said = {i: m.fault or _other(layout.get(i, m), m) for i, m in found.items()}
     other = [f"{got.module(sui)} {text}" for sui, text in said.items() if text]
-    cure = (
-        "do as said; set the module's mask (MODULE_SET_CUT_SENSORS; bit 0 is T0) and switch the "
-        "hub off and on, or mark the taxels that it leaves out as cut in the layout"
-    )
+    cure = "set the module's mask (MODULE_SET_CUT_SENSORS; bit 0 is T0), or mark its taxels as cut"
     yield _none("modules", "with other taxels", other, cure)
 
 
@@ -194,10 +190,17 @@ def _bus(count: Counter[str]) -> tuple[str, str]:
 
 def taxels(got: Received) -> Iterator[Rule]:
     """Each taxel reads something, varies a little, and is neither stuck nor saturated."""
+    ground = (
+        "run once more with the skin untouched; then check the ground between skin, hub and robot, "
+        "and keep motor cables away; a single taxel can be marked as cut in the layout"
+    )
     read = got.untouched
     known = None if read is None else read.fine & ~np.isnan(read.level)
     if read is None or known is None or not known.any():
-        yield Rule("taxels", "at rest", "no taxel of the layout has a baseline", "", None)
+        suis = {m.sui for table in got.tables.values() for m in table}
+        is_long = sum(scan.complete for scan in got.scans) >= LEARN_SCANS
+        holds = False if is_long and suis & {*(got.layout.uid >> 4).tolist()} else None
+        yield Rule("taxels", "at rest", "no taxel has a baseline", "some", holds, ground)
         return
     level, usual = read.level[known], float(np.median(read.noise[known]))
     said = (
@@ -211,10 +214,6 @@ def taxels(got: Received) -> Iterator[Rule]:
         "check that the module's dielectric is on and dry and that its surface is not cut; if only "
         "this taxel fails, mark it as cut in the layout; if the whole module fails, check its "
         "cable and supply, then replace it"
-    )
-    ground = (
-        "run once more with the skin untouched; then check the ground between skin, hub and robot, "
-        "and keep motor cables away; a single taxel can be marked as cut in the layout"
     )
     limits = {
         "saturated": (f"at most {INVALID:.0%} of the scans at {INVALID_FROM} counts", cure),
@@ -245,13 +244,13 @@ def temperature(got: Received) -> Iterator[Rule]:
     tables = [m for table in got.tables.values() for m in table if not isinstance(m, Group)]
     with_t0 = {m.sui for m in tables if m.mask >> TEMPERATURE & 1}
     known = np.array([sui in with_t0 for sui in suis.tolist()])
-    if got.untouched is None or not known.any() or got.span[1] - got.span[0] < T0_S:
+    if got.untouched is None or not known.any() or got.span[1] - got.span[0] < T0_KNOWN_S:
         yield Rule("temperature", "T0", "none was heard", "", None)
         return
     t0 = got.untouched.t0[:, known]
     suis, lost = suis[known].tolist(), np.isnan(t0[-1])
-    step = np.nan_to_num(np.abs(np.diff(t0, axis=0))).max(axis=0, initial=0.0)
-    most = T0_STEP * got.full_scale_counts
+    steps, most = np.nan_to_num(np.abs(np.diff(t0, axis=0))), T0_STEP * got.full_scale_counts
+    step = np.where(steps > T0_NOISE * np.median(steps, axis=0), steps, 0.0).max(axis=0)
     cure = "run once more, untouched; then check the module's supply. Its drift is not compensated"
     where = [f"T0 of {got.module(sui)}" for sui in suis]
     invalid = [name for name, bad in zip(where, lost, strict=True) if bad]
@@ -280,10 +279,7 @@ def press(got: Received) -> Iterator[Rule]:
             wrong.append(f"modules {asked} and {answered} are swapped")
     right = sum(a == b for a, b in answers.items())
     said = "; ".join([f"{right} of {len(answers)} modules answered where they are", *wrong])
-    cure = (
-        "exchange swapped modules on the link, or their serial numbers in the layout file; press "
-        "the others once more, harder; then check their cables and serial numbers"
-    )
+    cure = "exchange swapped modules, or their serial numbers in the layout; press others once more"
     yield Rule("press", "answers", said, "all", not wrong, cure)
     strongest = max(strength.values(), default=0.0)
     weak = [asked for asked, counts in strength.items() if counts < WEAK * full]
@@ -292,10 +288,7 @@ def press(got: Received) -> Iterator[Rule]:
         said += f"; modules {_listed(weak)} felt {max(strength[w] for w in weak):.0f} at most"
     if strongest > STRONG * full:
         said += "; to tell such presses apart, raise full_scale_counts towards it"
-    cure = (
-        "press harder and run once more; if it stays so, set skin.full_scale_counts of the daemon "
-        "to what a firm press reads, or see whether the dielectric has hardened"
-    )
+    cure = "press harder once more; else set skin.full_scale_counts to what a firm press reads"
     yield Rule("press", "strength", said, f"at least {WEAK:.0%} of full scale", not weak, cure)
 
 

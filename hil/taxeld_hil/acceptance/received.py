@@ -16,6 +16,7 @@ from taxeld.arrays import Bools, Floats
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.noise import FLOOR
+from taxeld.skin.rest import NOISE_MAX
 from taxeld.skin.skin import Skin
 from taxeld.source.bring_up import SILENCE_S
 from taxeld.source.sources import Source
@@ -25,6 +26,7 @@ from taxeld_protocol.modules import Module
 
 POLL_S = 0.001
 ANSWER_S = 10.0  # a hub that was just powered needs seconds
+T0_S = 1.0  # between two looks at the temperatures
 INVALID = 0.01  # share of the scans
 STANDS_OUT = 10.0  # times the skin's median noise; 23..59 counts is what 80 % of a skin lie in
 
@@ -45,7 +47,7 @@ class Untouched(NamedTuple):
     skin: Skin
     level: Floats  # (M,) counts; nan where none is known
     noise: Floats  # (M,) sd of a reading [counts]
-    t0: Floats  # (n, K) each module's temperature after each scan, nan where it is not known
+    t0: Floats  # (n, K) each module's temperature every T0_S, nan where it is not known
     fine: Bools  # (M,) taxels that a hub has, and that are neither saturated, dead nor stuck
     faults: Mapping[str, Bools]  # fault → taxels (M,); a taxel has one fault at most
 
@@ -73,17 +75,19 @@ class Received:
         skin, m = Skin(self.layout, config, silent_s=np.inf), len(self.layout)
         last = {scan.ihb: scan.table_version for scan in self.scans}
         scans = [s for s in self.scans if s.complete and s.table_version == last[s.ihb]]
-        came, unread, over, t0 = np.zeros(m), np.zeros(m), np.zeros(m), []
+        came, unread, over, t0, next_t = np.zeros(m), np.zeros(m), np.zeros(m), [], 0.0
         for scan in scans:
             skin.on_scan(scan)
             own, found = skin.wiring.of(scan).taxels, skin.faults()
             came[own] += 1.0
             unread[own] += skin.counts[own] == 0.0
             over[own] += np.isin(own, found["saturated_taxels"])
-            if (state := skin.state()) is not None:
+            if scan.t >= next_t and (state := skin.state()) is not None:
                 t0.append(state.t0)
+                next_t = scan.t + T0_S
         if (state := skin.state()) is None:
             return None
+        t0.append(state.t0)
         heard, often, is_stuck = came > 0.0, INVALID * came, np.zeros(m, dtype=bool)
         is_stuck[found["stuck_taxels"]] = True
         faults = {
@@ -96,6 +100,7 @@ class Received:
         # noise under which the daemon's threshold is the same for all taxels does not matter
         limit = FLOOR * self.full_scale_counts / config.threshold_sigmas
         limit = max(limit, STANDS_OUT * float(np.median(usual)) if len(usual) else 0.0)
+        limit = min(limit, NOISE_MAX * self.full_scale_counts)
         faults["noisy"] = fine & (unknown | (noise > limit))
         return Untouched(skin, state.baseline, noise, np.array(t0), fine, faults)
 
