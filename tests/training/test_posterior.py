@@ -177,7 +177,7 @@ def test_contacts_made_around_a_reading_have_the_posterior_of_a_bank_that_is_lar
     length_m = ring_model.scene.size
     told = 0
     for one in seen:
-        made = dense.sample(one, DRAWS, rng, thin, thin.weighed(one))
+        made = dense.sample(one, DRAWS, rng, thin)
         assert made.ess > max(quality.LIMIT_ESS, thin.sample(one, 1, rng).ess)
         exact = full.sample(one, 2 * DRAWS, rng)
         half, other = exact.pose[:DRAWS], exact.pose[DRAWS:]

@@ -19,7 +19,6 @@ from taxeld.model.observation import Observation, ObservationModel
 from taxeld_training.limits.posterior import (
     Draws,
     ExactPosterior,
-    Weighed,
     effective,
     flattened,
     gains,
@@ -56,11 +55,9 @@ class Dense:
         n: int,
         rng: np.random.Generator,
         bank: ExactPosterior,
-        weighed: Weighed,
     ) -> Draws:
-        """`n` draws with replacement for a reading, sought from those of a bank, `weighed` by the
-        reading."""
-        coarse = bank.drawn(weighed, FIRST, rng, FITTED)
+        """`n` draws with replacement for a reading, sought from those of a bank."""
+        coarse = bank.sample(seen, FIRST, rng, FITTED)
         cells, weight = self._cells(coarse.pose), np.full(FIRST, 1.0 / FIRST)
         for done in range(ROUNDS + MORE):
             if done < ROUNDS:

@@ -28,14 +28,6 @@ class Draws:
     ess: float
 
 
-@dataclass(frozen=True)
-class Weighed:
-    """Stored contacts in all turns that are tried, (n,) each: log-weights, and which turn."""
-
-    log_weight: Floats
-    turn: NDArray[np.int64]
-
-
 class ExactPosterior:
     """p(pose | z) over a bank of touches.
 
@@ -58,10 +50,6 @@ class ExactPosterior:
     ) -> Draws:
         """`n` draws with replacement, by importance weight, for a reading. The weights are
         flattened until they have an effective number of `least`."""
-        return self.drawn(self.weighed(seen), n, rng, least)
-
-    def weighed(self, seen: Observation) -> Weighed:
-        """The stored contacts with their log-likelihoods of a reading."""
         order = len(self.layout.turns)
         target = self.layout.sector[np.where(seen.live, seen.z, -1.0).argmax()]
         # noise moves the strongest taxel, but hardly ever farther than to a neighbour
@@ -71,15 +59,9 @@ class ExactPosterior:
             by = (self._sector - target - offset) % order
             log_w.append(self._log_weights(seen, by))
             turn.append(by)
-        return Weighed(np.concatenate(log_w), np.concatenate(turn))
-
-    def drawn(
-        self, weighed: Weighed, n: int, rng: np.random.Generator, least: float = 0.0
-    ) -> Draws:
-        """The draws of `sample`, of contacts that are weighed."""
-        weights = flattened(weighed.log_weight, least)
+        weights = flattened(np.concatenate(log_w), least)
         pick = rng.choice(len(weights), n, p=weights)
-        angle = -2.0 * np.pi * weighed.turn[pick] / len(self.layout.turns)
+        angle = -2.0 * np.pi * np.concatenate(turn)[pick] / order
         zero = np.zeros(n)
         turned = np.stack([zero, zero, angle], axis=1)
         pose = se2.compose(turned, self._pose[pick % len(self._pose)])

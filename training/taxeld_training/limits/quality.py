@@ -14,7 +14,7 @@ from taxeld.model.observation import Observation, ObservationModel
 from taxeld_hil import jobs
 from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import Draws, ExactPosterior, energy_distance
-from taxeld_training.models.dataset import SimulatedTouches, read, simulate
+from taxeld_training.models.dataset import read, simulate
 
 SAMPLES = 100
 BANK_STAGE, EXACT_STAGE = "contacts to measure with", "exact posteriors"
@@ -71,7 +71,7 @@ def reference(
     `workers` (processes) makes the same. `progress` is called with the stage and its share that is
     done."""
     contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
-    exact = Posterior(model, contacts, noise, rng)
+    exact = ExactPosterior(contacts, model.layout, noise), Dense(model, noise, rng)
     drawn = read(model, noise, readings, rng)
     kept: list[tuple[Poses, Floats, Bools, Poses, float]] = []
     spent_s = 0.0
@@ -87,34 +87,17 @@ def reference(
     return Reference(truth, z, live, draws_of, ess, model.scene.size, left_out, ms)
 
 
-def _draws(exact: "Posterior", of: tuple[Observation, np.random.Generator]) -> tuple[Draws, float]:
-    """Draws for a reading, and the CPU time that they took [s]."""
-    seen, rng = of
+def _draws(
+    exact: tuple[ExactPosterior, Dense], of: tuple[Observation, np.random.Generator]
+) -> tuple[Draws, float]:
+    """Draws for a reading, and the CPU time that they took [s]: by the bank and, where that is too
+    thin, by contacts made for the reading."""
+    (bank, dense), (seen, rng) = exact, of
     start = time.thread_time()
-    draws = exact.sample(seen, 2 * SAMPLES, rng)
+    draws = bank.sample(seen, 2 * SAMPLES, rng)
+    if draws.ess < THIN_ESS:
+        draws = dense.sample(seen, 2 * SAMPLES, rng, bank)
     return draws, time.thread_time() - start
-
-
-class Posterior:
-    """The exact posterior by a bank and, where that is too thin, by contacts made for a reading."""
-
-    def __init__(
-        self,
-        model: ObservationModel,
-        bank: SimulatedTouches,
-        noise: Noise,
-        rng: np.random.Generator,
-    ) -> None:
-        self._bank = ExactPosterior(bank, model.layout, noise)
-        self._dense = Dense(model, noise, rng)
-
-    def sample(self, seen: Observation, n: int, rng: np.random.Generator) -> Draws:
-        """`n` draws for a reading."""
-        weighed = self._bank.weighed(seen)
-        draws = self._bank.drawn(weighed, n, rng)
-        if draws.ess >= THIN_ESS:
-            return draws
-        return self._dense.sample(seen, n, rng, self._bank, weighed)
 
 
 def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Floats:

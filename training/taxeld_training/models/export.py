@@ -25,14 +25,9 @@ TRACED, TRIED = 100, 64  # samples; the graph takes any number, so it is checked
 TOLERANCE = 1e-3
 
 
-def model_of(sampler: AnySampler) -> Model:
-    """The trained model that a sampler runs."""
-    return sampler.model if isinstance(sampler, DiffusionSampler) else sampler
-
-
 def flops(sampler: AnySampler, samples: int) -> int:
     """Operations of one call: two for each multiply-add."""
-    model = model_of(sampler)
+    model: Model = sampler.model if isinstance(sampler, DiffusionSampler) else sampler
     return 2 * (model.multiply_adds + sampler.steps * samples * model.multiply_adds_each)
 
 

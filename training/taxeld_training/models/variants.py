@@ -60,12 +60,6 @@ def paper() -> Variant:
     )
 
 
-MODELS: dict[str, Variant] = {  # the models that experiments compare
-    "density-64": density(64),
-    "paper": paper(),
-}
-
-
 def trained_with(
     variant: Variant, effort: float, contacts: int | None = None, seed: int | None = None
 ) -> Variant:
