@@ -16,7 +16,7 @@ from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.trials.case import SHIPPED, TABLED, Case
-from taxeld_hil.trials.play import SCAN_S, TICK_S, Direct, moments, play
+from taxeld_hil.trials.play import SCAN_S, TICK_S, Direct, play
 from taxeld_hil.world import plan
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.subjects import Subject
@@ -225,10 +225,10 @@ def test_what_cannot_be_touched_or_is_no_name_is_one_line(monkeypatch: pytest.Mo
 
 
 def test_a_trial_notes_of_which_object_each_estimate_is_and_how_far_off() -> None:
-    found = play(Case((BOX, MUG), MUG), 2)
+    found = play(Case((MUG, BOX), BOX), 2)
     assert len(found) == 8
     assert found[-1].object == 1
-    assert found[-1].objects[1] > 0.99
+    assert found[-1].objects[1] > 0.9
     assert found[-1].error_mm < 10.0
     assert all(touch.ms > touch.idle_ms * SCAN_S > 0.0 for touch in found)
     wrong = play(Case((MUG,), BOX, touches=4), 2)
@@ -238,21 +238,18 @@ def test_a_trial_notes_of_which_object_each_estimate_is_and_how_far_off() -> Non
 
 
 @pytest.mark.parametrize(
-    ("given", "rows"),
+    "given",
     [
-        ({"guide": "around"}, 3),
-        ({"guide": "straight"}, 3),
-        ({"guide": "advised"}, 3),
-        ({"layouts": LINKS.layouts[1:] * 2}, 3),
-        ({"guide": "push", "motion": "push"}, 4),
-        ({"guide": "push", "motion": "told"}, 4),
+        {"guide": "around"},
+        {"guide": "straight"},
+        {"guide": "advised"},
+        {"layouts": LINKS.layouts[1:] * 2},
     ],
-    ids=["around", "straight", "advised", "links", "push", "told"],
+    ids=["around", "straight", "advised", "links"],
 )
-def test_a_trial_has_a_row_a_touch_by_any_guide(given: dict[str, Any], rows: int) -> None:
+def test_a_trial_has_a_row_a_touch_by_any_guide(given: dict[str, Any]) -> None:
     found = play(Case((BOX,), touches=3, **given), 1)
-    assert len(found) == rows
-    assert math.isfinite(found[-1].path_mm) == (rows == 4)
+    assert len(found) == 3
     assert (found[-1].guide_ms > 0.0) == (given.get("guide") == "advised")
 
 
@@ -264,11 +261,3 @@ def test_the_uninformed_baseline_is_farther_off_after_two_touches() -> None:
         for each in (case, replace(case, method=replace(TABLED, proposal="projection")))
     ]
     assert off[0] < 0.5 * off[1]
-
-
-def test_the_scans_of_a_trial_come_without_a_filter_as_well() -> None:
-    scans = list(moments(Case((BOX,), touches=2), 1))
-    assert {scan.touch for scan in scans} == {0, 1}
-    felt = [s for s in scans if s.outcome.activation is not None and s.outcome.activation.z.any()]
-    assert len(felt) > 5
-    assert all(scan.outcome.sensor is not None for scan in felt)
