@@ -78,19 +78,19 @@ def _say_next(args: argparse.Namespace, scenario: "Scenario", out: Path) -> None
     """How to see the session, by Rerun or by matplotlib alone, and how to go on with its bundle."""
     _say(f"see it: {_command('taxeld', 'view', out)}")
     if not args.png:
-        given = [args.scenario, "--seed", args.seed]
+        given = [args.scenario, "--seed", args.seed, *["--advised"] * args.advised]
         for option, value in (("--object", args.object), ("--foam", args.foam)):
             given += [option, value] if value else []
         for layout in args.layout or ():
             given += ["--layout", layout]
-        given += ["--advised"] * args.advised
         png = f"{Path(args.scenario).stem}.png"
         _say(f"draw it: {_command('taxeld-hil', 'run', *given, '--clock', 'fake', '--png', png)}")
     if scenario.links > 1:
         return  # their configuration is in the session
     given = ["--bundle", scenario.bundle]
     given += ["--layout", scenario.layout] if scenario.layout else []
-    _say(f"next: {_command('taxeld', 'init', 'robot.toml', '--source', 'can:can0', *given)}")
+    source = "array:tcp://127.0.0.1:9870" if scenario.transport == "array" else "can:can0"
+    _say(f"next: {_command('taxeld', 'init', 'robot.toml', '--source', source, *given)}")
 
 
 def _command(program: str, *words: object) -> str:

@@ -130,12 +130,12 @@ def test_from_a_layout_to_a_graded_run_each_command_is_printed_by_the_one_before
     run = following(follow(build, tmp_path))
     ran = follow(run + " --clock fake", tmp_path)
     assert ran.returncode in (0, 1), ran.stderr  # such samplers need not find the object
-    said = ran.stdout.splitlines()
-    assert said[-3].split(":")[0] in ("passed", "failed"), said
-    init = said[-1].removeprefix("next: ")
+    said = dict(line.partition(": ")[::2] for line in ran.stdout.splitlines())
+    assert said.keys() & {"passed", "failed"}, ran.stdout
     for command in (
-        f"{said[-2].removeprefix('see it: ')} --save seen.rrd",
-        init.replace("can:can0", "can:nothing0" if own else "array:ipc:///nowhere"),
+        f"{said['see it']} --save seen.rrd",
+        said["draw it"],
+        said["next"].replace("can:can0", "can:nothing0"),
     ):
         done = follow(command, tmp_path)
         assert done.returncode == 0, done.stderr
