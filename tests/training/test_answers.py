@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 from taxeld_hil.cli import main as harness
-from taxeld_hil.trials.case import Case, Method
+from taxeld_hil.integrity import Claims
+from taxeld_hil.trials.case import TABLED, Case, Method
 from taxeld_hil.trials.play import play
 from taxeld_hil.world.subjects import Subject
+from taxeld_training import closing
 from taxeld_training.cli import main
 from taxeld_training.trials import limit, questions, run, samplers
 from taxeld_training.trials.questions import Selection
@@ -59,12 +61,12 @@ def test_an_answer_goes_on_where_it_was_cut_and_more_seeds_add_to_it(
     assert jobs.items() <= written_at(tmp_path / "memory").items()
 
 
-def test_expect_and_works_print_the_same_figures_of_the_same_trials(
-    block: Path, tmp_path: Path
+def test_expect_build_and_works_have_the_same_figures_of_the_same_trials(
+    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place = ["--out", tmp_path / "told", "--memory", tmp_path / "other", "--workers", "1"]
+    monkeypatch.chdir(tmp_path)
     what = ["--object", block, "--layout", RING, "--foam", "typical", "--seeds", "2"]
-    assert harness(["expect", *map(str, (*what, *place))]) == 0
+    assert harness(["expect", *map(str, (*what, "--out", "told"))]) == 0
     told = json.loads((tmp_path / "told" / "expect.json").read_text("utf-8"))["touches"]
     more = ("works", "--layout", RING, "--cells", "typical", "--seeds", "2")
     (row,) = (row for row in asked(tmp_path, block, *more)["works"] if "object" in row["of"])
@@ -73,6 +75,10 @@ def test_expect_and_works_print_the_same_figures_of_the_same_trials(
     assert [each["misleading"] * 2 for each in told] == row["misleading_at"]
     medians = [each["median_mm"] for each in told]
     assert medians == pytest.approx(row["median_mm"], abs=0.011)  # both are rounded
+    out = tmp_path / "built"
+    assert main(["build", str(block), "--layout", RING, "--table", "--out", str(out)]) == 0
+    (trials,) = closing.played([out], RING, "typical", [(TABLED, 0)], 2, lambda _: None)
+    assert Claims.of_trials(trials).by_touch()["median_mm"] == row["median_mm"]
 
 
 def test_guides_are_compared_from_the_same_first_touch(block: Path, tmp_path: Path) -> None:

@@ -159,12 +159,8 @@ def test_a_table_alone_is_built_and_tried_by_nobody(
     assert main(["build", "003_cracker_box", *table]) == 0
     printed, said = capsys.readouterr()
     assert re.fullmatch(r"1/1 scene: \d+ s\n", said)
-    assert [line.split("  ")[0] for line in printed.splitlines()] == [
-        "made",
-        "how good",
-        "next",
-        "took",
-    ]
+    heads = [line.split("  ")[0] for line in printed.splitlines()]
+    assert heads == ["made", "how good", "next", "took"]
     assert f"how good   taxeld-hil expect --object '{out}'\n" in printed
     loaded = bundle.load(str(out), layouts.load(SKIN))
     assert (loaded.order, loaded.manifest.samplers) == (("table",), ())

@@ -69,7 +69,7 @@ def counted(folder: Path, layout: str, foam: str, trials: int, tell: Tell) -> di
     order = bundle.load(str(folder), layouts.load(layout)).order
     filters = tried(next(name for name in order if name not in ANALYTIC), trials)
     of = [(method, 0) for method in filters.values()]
-    done = _played([folder], layout, foam, of, trials, partial(tell, STAGE))
+    done = played([folder], layout, foam, of, trials, partial(tell, STAGE))
     told = dict(zip(filters, map(Claims.of_trials, done), strict=True))
     return _chosen(filters, told, order) | {
         "touches": {
@@ -89,7 +89,7 @@ def pairs(
     the trials do not part is alike: whoever runs these bundles together cannot expect to be told
     which of them it is."""
     of = [(TABLED, true) for true in range(len(folders))]
-    done = _played(folders, layout, foam, of, trials, partial(tell, PAIRS))
+    done = played(folders, layout, foam, of, trials, partial(tell, PAIRS))
     names, found = [folder.name for folder in folders], []
     for true, runs in enumerate(done):
         objects = np.array([[touch.objects for touch in run] for run in runs])
@@ -155,7 +155,7 @@ def _chosen(
     }
 
 
-def _played(
+def played(
     folders: Sequence[Path],
     layout: str,
     foam: str,
@@ -170,8 +170,8 @@ def _played(
     found: list[list[list[Touch]]] = [[] for _ in of]
     known = tuple(Subject(str(folder)) for folder in folders)
     case = Case(known, None, (layout,), FOAMS[foam], touches=TOUCHES)
-    for number, played in enumerate(jobs.beside(_block, case, todo, WORKERS)):
-        found[number // len(blocks)] += played
+    for number, some in enumerate(jobs.beside(_block, case, todo, WORKERS)):
+        found[number // len(blocks)] += some
         progress((number + 1) / len(todo))
     return found
 
