@@ -48,8 +48,7 @@ def front(rows: Sequence[Row], path: Path) -> None:
         colour = COLOURS[0] if is_sized else COLOURS[1] if name == SHIPS else COLOURS[6]
         left.plot([x, x], [low, high], color=colour, lw=0.8, alpha=0.6)
         left.plot(x, y, "o", color=colour, ms=9 if name == SHIPS else 5)
-        label = f"{name.removeprefix(SIZED)}" if is_sized else name
-        label += " (ships)" * (name == SHIPS)
+        label = name.removeprefix(SIZED) + " (ships)" * (name == SHIPS)
         offset = {"xytext": (0, -11) if is_sized else (5, 4), "textcoords": "offset points"}
         left.annotate(label, (x, y), fontsize=7, color=colour, **offset)
     best: list[Row] = []

@@ -100,6 +100,7 @@ def load(name: str, asked: Selection) -> Question:
     if asked.quick:
         given |= {"seeds": QUICK_SEEDS, "effort": QUICK_EFFORT}
         given["columns"] = given.get("columns", [])[:1]
+        given["methods"] = [each for each in given.get("methods", ["table"]) if each != GRID]
         given["readings"] = min(given.get("readings", 0), QUICK_READINGS)
         if not asked.only:
             given["cells"] = given["cells"][:QUICK_CELLS]

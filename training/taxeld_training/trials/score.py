@@ -89,9 +89,8 @@ def figures(group: Sequence[Played], quiet: dict[str, float]) -> Row:
     row["to_sure"] = round(float(to_sure(of).mean()), 3)
     row["misleading_at"] = of.misleading.sum(axis=0).tolist()
     ci: Row = {"to_sure": rounded(by_seeds(np.mean, to_sure(of), seeds), 3)}
-    ones = np.ones(len(seeds))
     for name, rule in (("found", of.found), ("found_and_sure", of.found_and_sure)):
-        ci[name] = [_share(after, ones, seeds) for after in rule.T]
+        ci[name] = [_share(after, np.ones(len(after)), seeds) for after in rule.T]
     ci["misleading"] = _share(of.misleading.sum(axis=1), of.sure.sum(axis=1), seeds)
     row |= {"bins": bins(p.ravel(), of.found.ravel())}
     row["estimates"], row["ece"] = p.size, calibration_error(row["bins"])
