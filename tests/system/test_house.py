@@ -12,7 +12,6 @@ from deploy import manuals
 from taxeld import __version__
 from taxeld.config import file as config_file
 from taxeld.proposals import bundle
-from tests import figures
 
 ROOT = Path(__file__).parents[2]
 
@@ -79,18 +78,6 @@ def test_constants_of_the_estimators_page_have_the_values_that_it_says() -> None
         said = [float(number) * {"mm": 1e-3}.get(unit, 1.0) for number, _, unit in parts]
         assert held == pytest.approx(said), names
     assert rows > 5
-
-
-def test_figures_of_pages_are_filled_from_their_json_and_none_is_out_of_date(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    name = "works-misleading"
-    page = f"<!-- figures: {name} -->\nNone misleads.\n<!-- end of figures -->\n"
-    told = figures.filled(page)
-    assert figures.FIGURES[name]() in told != page
-    assert figures.filled(told) == told
-    assert [figures.share(n, 400) for n in (0, 1, 399, 400)] == ["0 %", "1 %", "99 %", "100 %"]
-    assert figures.main([]) == 0, capsys.readouterr().out
 
 
 def test_the_example_configuration_is_fine() -> None:
