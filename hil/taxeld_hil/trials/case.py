@@ -65,7 +65,7 @@ class Case:
     touches: int = 8
 
     def __post_init__(self) -> None:
-        """Raises SetupError where a name is none, or two objects have other foam."""
+        """Raises SetupError where there is no such guide or motion, or no touch."""
         for name, value, known in (
             ("guide", self.guide, GUIDES),
             ("motion", self.motion, MOTIONS),

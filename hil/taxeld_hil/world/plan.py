@@ -20,13 +20,11 @@ from taxeld.model.observation import ObservationModel
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.robot import ARC_STEP_RAD, SLIP_S, SLOW_FROM_M, STANDOFF_M, LinkRobot
 
-AROUND_MOST = (
-    8  # touches, at most, to once around the object: any so many in turn see all its sides
-)
+AROUND_MOST = 8  # touches of one way around the object, so that as many see all of its sides
 MARCH_M = 0.0005
 CHECK_M = 0.004  # between two points at which the way to a press is checked
 GRAZE_M = 5e-4  # deeper than so much the way to a press may not touch
-TOUCH = 0.1  # least activation of a press: a corner between two columns may give none,
+TOUCH = 0.1  # least activation of a press: a corner between two columns may give none
 TRIES = 20  # places that are tried
 BATCH, PAIR_BATCH = 64, 4096  # poses drawn at once to choose presses from
 BATCHES_MAX = 1000

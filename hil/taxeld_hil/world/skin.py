@@ -85,8 +85,8 @@ class SimulatedSkin:
         self._drift = given.drift / 60.0 * given.full_scale_counts * faults.uniform(-1, 1, taxels)
         self._stuck: Index = faults.permutation(taxels)[: given.stuck]
         scattered = faults.permutation(taxels)[: round(given.dead_share * taxels)]
-        suis, module = np.unique(layout.uid >> 4, return_inverse=True)
-        gone = faults.permutation(len(suis))[: given.dead_modules]
+        names, module = np.unique(layout.uid >> 4, return_inverse=True)
+        gone = faults.permutation(len(names))[: given.dead_modules]
         self._dead = np.isin(module, gone) | np.isin(np.arange(taxels), scattered)
 
     def press(self, seen: Poses, t: float) -> Floats:
