@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zmq
 
 from taxeld.stream import client
 from taxeld_hil.rig.bench import Bench
@@ -84,10 +83,7 @@ class Stand:
         touches = Scenario(case.bundle, layout=case.layout, contacts=contacts, physics="scene")
         rig = Rig(touches, 0)
         rig.world.truth = rig.world.truth + (0.0 if case.touched else AWAY_M)
-        poses = opened.enter_context(opened.enter_context(zmq.Context()).socket(zmq.XPUB))
-        poses.linger = 0
-        poses.bind(f"ipc://{place}/poses")
-        self.bench = Bench(rig, place / "skin", poses)
+        self.bench = Bench(rig, place / "skin", f"ipc://{place}/poses")
         opened.callback(self.bench.close)
         self._ready = opened.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
         self._ready.bind(f"{place}/notify")

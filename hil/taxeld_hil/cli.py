@@ -44,7 +44,7 @@ def _run(args: argparse.Namespace) -> int:
     """
     from taxeld_hil.grade import grade
     from taxeld_hil.run import live
-    from taxeld_hil.run.fake_run import FakeRun
+    from taxeld_hil.run.fake import FakeRun
 
     is_simulated = args.target == "sim"
     if args.png and not is_simulated:
@@ -58,14 +58,13 @@ def _run(args: argparse.Namespace) -> int:
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     run: live.LiveRun | FakeRun
     if not is_simulated:
-        run = live.HardwareRun(scenario, args.target, args.poses, args.truth, _say)
+        run = live.LiveRun(scenario, args.target, args.poses, args.truth, _say)
     elif args.clock == "fake":
         run = FakeRun(scenario, args.seed)
     else:
         run = live.SimulatedRun(scenario, args.seed, _say)
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
-    with run:
-        graded = run.graded(name, out)
+    graded = run.graded(name, out)
     _say("\n".join(grade.lines(graded)))
     if args.png:
         picture.draw(out, args.png)
@@ -148,37 +147,37 @@ def _matrix(args: argparse.Namespace) -> int:
 
     taxeld-hil matrix demo --seeds 2 --out matrix
     """
-    from taxeld_hil.experiment import matrix, measurement
+    from taxeld_hil.experiment import runs
     from taxeld_hil.scenario import scenario as scenarios
 
     names = args.scenario or list(scenarios.shipped())
     objects, foams = args.object or MATRIX_OBJECTS, args.foam or MATRIX_FOAMS
     layouts = options.layouts(args.layout)
-    todo = matrix.jobs(names, objects, foams, args.seeds, layouts)
-    runs = _done(todo, args, matrix.described)
-    measurement.save(args.out / "scenarios.json", runs)
-    _say("\n".join(matrix.lines(runs)))
-    return 0 if all(run["passed"] for run in runs) else 1
+    rows = _done(runs.matrix(names, objects, foams, args.seeds, layouts), args, runs.described)
+    runs.save(args.out / "scenarios.json", rows)
+    _say("\n".join(runs.lines(rows)))
+    return 0 if all(row["passed"] for row in rows) else 1
 
 
 def _soak(args: argparse.Namespace) -> int:
-    """Run random faults for hours, on one daemon for each layout.
+    """Run random faults for hours, lap by lap, or in real time on one daemon.
 
     taxeld-hil soak --hours 2
-    taxeld-hil soak --real-minutes 10
+    taxeld-hil soak mine.toml --real-minutes 10
     """
-    from taxeld_hil.experiment import measurement, soak
+    from taxeld_hil.experiment import runs, soak
     from taxeld_hil.scenario import scenario as scenarios
 
-    base = scenarios.load(args.scenario).touching(args.object)
-    subjects = [base.on(args.foam, layout) for layout in options.layouts(args.layout)]
     real = args.real_minutes is not None
-    hours = args.real_minutes / 60.0 if real else args.hours
-    args.workers = 1 if real else args.workers
-    runs = _done(soak.jobs(subjects, args.seed, hours, real=real), args, soak.described)
-    measurement.save(args.out, runs)
-    _say("\n".join(map(soak.described, runs)))
-    return 0 if all(map(soak.passed, runs)) else 1
+    minutes = args.real_minutes if real else round(60.0 * args.hours)
+    if not 1 <= minutes <= (soak.LIVE_MAX if real else minutes):
+        most = f"--real-minutes must be 1..{soak.LIVE_MAX}" if real else "--hours is too short"
+        raise SetupError(most)
+    todo = soak.jobs(scenarios.load(args.scenario), args.seed, minutes, real=real)
+    rows = _done(todo, args, runs.described)
+    runs.save(args.out, rows)
+    _say(soak.described(rows))
+    return 0 if soak.passed(rows) else 1
 
 
 def _done(
@@ -216,8 +215,7 @@ def _scenario(args: argparse.Namespace) -> "Scenario":
     """
     from taxeld_hil.scenario import scenario as scenarios
 
-    layouts = [args.layout] if isinstance(args.layout, str) else args.layout or ()
-    return scenarios.load(args.scenario).touching(args.object).on(args.foam, *layouts)
+    return scenarios.load(args.scenario).touching(args.object).on(args.foam, *args.layout or ())
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -307,14 +305,10 @@ def _of_matrix(made: argparse.ArgumentParser) -> None:
 def _of_soak(made: argparse.ArgumentParser) -> None:
     add = made.add_argument
     add("scenario", nargs="?", default="demo", metavar="SCENARIO", help="default: demo")
-    about = "in place of the scenario's object: box, drill, mug, or a path"
-    add("--object", default="", metavar="BUNDLE", help=about)
-    add("--foam", default="", help=f"in place of the scenario's: {', '.join(FOAMS)}")
-    options.add_layouts(made, "the scenario's")
     add("--seed", type=int, default=0)
     long = made.add_mutually_exclusive_group().add_argument
     long("--hours", type=float, default=1.0, help="hours of scans, on the fake clock")
-    long("--real-minutes", type=float, help="minutes over the transport, in real time")
+    long("--real-minutes", type=int, help="minutes over the transport, in real time")
     options.add_workers(made)
     add("--out", type=Path, default=Path("soak.json"), help="the report")
 
@@ -322,8 +316,7 @@ def _of_soak(made: argparse.ArgumentParser) -> None:
 def _of_emulate(made: argparse.ArgumentParser) -> None:
     add = made.add_argument
     _add_scenario(made)
-    add("--layout", default="", help="in place of the scenario's, as skin.layout")
-    made.set_defaults(foam="")
+    made.set_defaults(foam="", layout=())
     where = made.add_mutually_exclusive_group(required=True).add_argument
     where("--link", type=Path, help="path that will be a link to the virtual SLCAN adapter")
     where("--can", metavar="INTERFACE", help="CAN interface of this machine, such as vcan0")

@@ -14,7 +14,7 @@ from taxeld.model.response import SAG_M, SAG_SD, Inverse, response, sagging
 from taxeld.proposals import bundle
 from taxeld.skin.fit import SkinFit
 from taxeld.skin.skin import Skin
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from tests.rig.simulated_skin import begun
 from tests.rig.skins import calibration_of
@@ -95,19 +95,16 @@ def test_the_length_of_the_sag_is_learned_where_the_cover_sags() -> None:
     assert np.median(learned) == pytest.approx(0.005, rel=0.2)
 
 
-def lived(laps: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[FakeRun, Floats]:
+def lived(touches: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[FakeRun, Floats]:
     """A daemon that touches the mug, until it has learned, or if it takes the mug for `of` again
     and again; → it, and the sds of its taxels before."""
-    asked = replace(scenario.load("demo").touching("mug").on("typical"), contacts=8)
+    asked = replace(scenario.load("demo").touching("mug").on("typical"), contacts=touches)
     run = FakeRun(asked, seed, rate_hz=40.0)
     run.config = replace(run.config, skin=replace(run.config.skin, learn=learns))
     run.scenes = [bundle.load(of or "mug", run.skin)]
     run.daemon = run._born()
-    for lap in range(laps):
-        if lap:
-            run.lap(asked, seed + lap)
-        run.run()
-        assert run.daemon is not None
+    for tick in range(round(40 * run.duration_s)):
+        run.step(tick / 40)
         if not of and run.daemon.pipeline.skin.fit.lessons:
             break
     run.daemon.pipeline.reset()
@@ -116,7 +113,7 @@ def lived(laps: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[F
 
 @pytest.mark.check
 def test_a_skin_learns_while_it_works_unless_it_is_told_not_to() -> None:
-    (run, _), (frozen, _) = lived(12, 5), lived(4, 5, learns=False)
+    (run, _), (frozen, _) = lived(96, 5), lived(32, 5, learns=False)
     assert run.daemon is not None
     assert frozen.daemon is not None
     assert run.daemon.pipeline.skin.fit.lessons > 0
@@ -124,7 +121,7 @@ def test_a_skin_learns_while_it_works_unless_it_is_told_not_to() -> None:
 
 
 def test_touches_of_another_object_move_no_response_by_more_than_its_own_sd() -> None:
-    run, sd = lived(4, 5, of="box")
+    run, sd = lived(32, 5, of="box")
     assert run.daemon is not None
     fit = run.daemon.pipeline.skin.fit
     before = SkinFit(len(run.skin), NOISE)

@@ -17,7 +17,7 @@ from taxeld.proposals import bundle
 from taxeld_hil.calibration.fit import depths
 from taxeld_hil.calibration.presses import Presses
 from taxeld_hil.grade.grade import Grade
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.plan import Circle

@@ -8,7 +8,7 @@ import pytest
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model import se2
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.run.live import SimulatedRun
 from taxeld_hil.scenario import scenario
 from tests.hil.rig import passing

@@ -12,7 +12,7 @@ from taxeld.model import se2
 from taxeld_hil import cli
 from taxeld_hil.experiment import expect
 from taxeld_hil.experiment.expect import AS_IS, Touched, cases
-from taxeld_hil.experiment.measurement import RunRow
+from taxeld_hil.experiment.runs import RunRow
 from taxeld_hil.trials.play import Touch
 from taxeld_hil.trials.play import world_of as world_of_case
 from taxeld_hil.world.conditions import Conditions

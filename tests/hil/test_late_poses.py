@@ -10,7 +10,7 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import SensorPoseConfig
 from taxeld.model.symmetry import add_m
 from taxeld.pipeline.poses import EXTRAPOLATE_S
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 
 DEMO = replace(scenario.load("demo").on("scene"), contacts=4)

@@ -11,7 +11,7 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld_hil.grade.session import POSE, read
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.run.live import SimulatedRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault

@@ -20,7 +20,7 @@ from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld.source.session import read_poses
 from taxeld_hil.grade.session import read
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from tests.hil.rig import passing

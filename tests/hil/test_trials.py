@@ -12,7 +12,7 @@ from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle, choice
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.trials.case import SHIPPED, TABLED, Case
@@ -46,9 +46,9 @@ def test_both_drivers_give_the_same_estimates_where_the_wire_loses_nothing(
     run, wired, scans = FakeRun(subject, 5), [], []
     step = run.rig.world.step
 
-    def noted(t: float, link: int = 0, now: float | None = None) -> Any:
+    def noted(t: float, link: int = 0) -> Any:
         scans.append(t)
-        return step(t, link, now)
+        return step(t, link)
 
     run.rig.world.step = noted  # type: ignore[method-assign]
     for k in range(round(100 * run.duration_s)):

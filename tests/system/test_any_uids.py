@@ -11,7 +11,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld_hil.experiment.expect import cases
 from taxeld_hil.rig.rig import Rig
-from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.trials.play import play
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.subjects import Subject

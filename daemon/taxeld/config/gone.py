@@ -11,6 +11,7 @@ WHOLE = "'evaluate whole' compares filters, 'evaluate map' has what ships under 
 NAMED = "say it with --cells, which names cells, methods, guides and motions"
 EFFORT = "--effort scales training, measuring and trials together"
 KEPT = "finished runs are kept in .experiments, where the command was given"
+IN_FILE = "the scenario's file has its bundle, physics (the foam) and layout"
 SESSION = "'taxeld replay DIR' plays a session, and 'taxeld view DIR' shows it"
 
 GONE: dict[str, str] = {
@@ -20,6 +21,9 @@ GONE: dict[str, str] = {
     "taxeld-hil soak --lap": "a soak's report has a row a lap",
     "taxeld-hil soak --no-faults": "a scenario without faults has none: 'taxeld-hil matrix demo'",
     "taxeld-hil soak --frozen": "a soak's daemon learns, as every daemon does",
+    "taxeld-hil soak --object": IN_FILE,
+    "taxeld-hil soak --foam": IN_FILE,
+    "taxeld-hil soak --layout": IN_FILE,
     "taxeld-hil run --transport": "the scenario's file has its transport",
     "taxeld-hil matrix --real": "'taxeld-hil run' plays a scenario in real time",
     "taxeld-hil expect --memory": KEPT,
@@ -27,7 +31,8 @@ GONE: dict[str, str] = {
     "taxeld-hil expect --quick": "say --seeds 2 --touches 3",
     "taxeld-hil matrix --memory": KEPT,
     "taxeld-hil soak --memory": KEPT,
-    "taxeld-hil emulate --foam": "set physics in the scenario's file",
+    "taxeld-hil emulate --foam": IN_FILE,
+    "taxeld-hil emulate --layout": IN_FILE,
     "taxeld-hil run --limit-s": "a run on hardware may take two minutes a contact",
     "taxeld-train evaluate ablation": WHOLE,
     "taxeld-train evaluate filter": WHOLE,

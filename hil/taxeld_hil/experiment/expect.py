@@ -19,8 +19,8 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.layout.read import COLUMNS
-from taxeld_hil.experiment import measurement
-from taxeld_hil.experiment.measurement import RunRow
+from taxeld_hil.experiment import runs as measured
+from taxeld_hil.experiment.runs import RunRow
 from taxeld_hil.integrity import FOUND_MM, Claims
 from taxeld_hil.jobs import Job
 from taxeld_hil.objects import meshes
@@ -180,7 +180,7 @@ def written(own: Case, runs: Sequence[RunRow], out: Path) -> Iterator[str]:
     model, given = model_of(own.subject, *own.specs), own.conditions
     rows, changes = table(trials), helps(runs)
     asked = {"object": own.subject.name, "layout": own.specs[0], "foam": given.foam}
-    measurement.save(
+    measured.save(
         out / "expect.json",
         runs,
         asked=asked | {"robot_m": given.robot_m, "depth_m": model.depth_max_m},

@@ -41,6 +41,7 @@ class Run:
     taxels: Sequence[Sequence[int]]  # that each fault is about, as the layout numbers them
     not_injected: Sequence[str] = ()  # kinds of faults that were not possible
     ledger: dict[str, Any] | None = None  # `Ledger.entries`; None: a real skin keeps none
+    growth_mb: float = 0.0  # of a daemon's memory, in real time
 
     def write(self, directory: Path) -> None:
         scenario = {**asdict(self.scenario), "mesh": self.scenario.mesh.keys}

@@ -4,17 +4,15 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import msgpack
-import zmq
 
+from taxeld.errors import SetupError
 from taxeld.source.session import Item
 from taxeld.stream import topics
 from taxeld_hil.rig.ledger import WireUnit
-from taxeld_hil.rig.ports import ArrayPort, CanPort, NativePort, Port, SlcanPort, is_heard
+from taxeld_hil.rig.ports import ArrayPort, CanPort, Feed, NativePort, Port, SlcanPort
 from taxeld_hil.rig.rig import BEFORE_S, Rig
-from taxeld_hil.scenario.scenario import Scenario
 from taxeld_protocol.frames import Chunk
 
 
@@ -25,43 +23,37 @@ class Bench:
         self,
         rig: Rig,
         where: Path | str,
-        poses: zmq.Socket[Any],
+        poses: str,
         record: Callable[[Item], None] = lambda _: None,
     ) -> None:
-        """`where`: the name that a pseudo-terminal gets, or a CAN interface; `poses`: an XPUB;
-        `record` is called with all that passes.
+        """`where`: the name that a pseudo-terminal gets, or a CAN interface; `poses`: the robot's
+        endpoint; `record` is called with all that passes.
 
         Raises:
-            SetupError: there is no such interface, or the name is taken.
+            SetupError: there is no such interface, or a name or the endpoint is taken.
         """
-        self.rig, self.record = rig, record
+        self.rig, self._record = rig, record
         rig.ledger.period_s = math.inf  # when the host reads is not known here
         self.start_s: float | None = None  # monotonic, of the first scan
-        self._poses = poses
-        self._prefixes = set[bytes]()
         self._finished = False
-        self.port: Port
-        if isinstance(where, str):
-            self.port = CanPort(where, self._record)
-        elif rig.is_array or rig.line:
-            self.port = ArrayPort(where) if rig.is_array else NativePort(where)
-        else:
-            self.port = SlcanPort(where, self._record)
+        self.poses = Feed(poses, "--poses")
+        try:
+            self.port = self._opened(where)
+        except SetupError:
+            self.poses.close()
+            raise
 
-    def _record(self, item: Item) -> None:
-        self.record(item)
+    def _opened(self, where: Path | str) -> Port:
+        if isinstance(where, str):
+            return CanPort(where, self._record)
+        if self.rig.is_array:
+            return ArrayPort(where)
+        return NativePort(where) if self.rig.line else SlcanPort(where, self._record)
 
     @property
     def t(self) -> float:
         """Scenario time."""
         return BEFORE_S if self.start_s is None else time.monotonic() - self.start_s
-
-    def lap(self, scenario: Scenario, seed: int) -> None:
-        """Go on with another scenario; the first lap begins when a host starts the skin."""
-        self.rig.lap(scenario, seed)
-        self._finished = False
-        if self.start_s is not None:
-            self.start_s = time.monotonic()
 
     @property
     def was_stopped(self) -> bool:
@@ -76,17 +68,15 @@ class Bench:
         requests = port.take(wall)
         if rig.fails("adapter_closed", self.t):
             port.close_channel()
-        if self._finished:
-            port.flush()
-            return
-        for packet in requests:
-            self._send(rig.answer(packet, self.t), wall)
-        if self.start_s is None and rig.hub.auto_sync:
-            self.start_s = time.monotonic()
-        self._send(rig.scan(self.t, time.monotonic()), wall)
+        if not self._finished:
+            for packet in requests:
+                self._send(rig.answer(packet, self.t), wall)
+            if self.start_s is None and rig.hub.auto_sync:
+                self.start_s = time.monotonic()
+            self._send(rig.scan(self.t, time.monotonic()), wall)
+            for row in rig.poses(self.t, time.monotonic(), wall):
+                self._publish(row)
         port.flush()
-        for row in rig.poses(self.t, time.monotonic(), wall):
-            self._publish(row)
 
     def finish(self) -> None:
         """Send what was held back; nothing more is sent after it."""
@@ -95,17 +85,18 @@ class Bench:
 
     def close(self) -> None:
         self.port.close()
+        self.poses.close()
 
     def _send(self, units: list[WireUnit], wall: float) -> None:
         ledger = self.rig.ledger
         for unit in units:
             item = unit.item
             if isinstance(item, bytes):
-                self.record(Chunk(wall, item))
+                self._record(Chunk(wall, item))
             else:
                 item = item._replace(t=wall)
                 unit = unit._replace(item=item)  # noqa: PLW2901
-                self.record(item)
+                self._record(item)
             if not self.port.is_open:
                 continue
             if self.port.send(unit):
@@ -115,10 +106,9 @@ class Bench:
 
     def _publish(self, row: tuple[float, float, float, float]) -> None:
         wall, x, y, theta = row
-        body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
         # a pose that nobody hears is not sent: who begins to listen now would hear it uncounted
-        if is_heard(self._poses, self._prefixes, topics.SENSOR_POSE):
-            frames = (topics.SENSOR_POSE, body, b"%.6f" % wall)
-            self._poses.send_multipart(frames, zmq.NOBLOCK)
+        if self.poses.is_heard(topics.SENSOR_POSE):
+            body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
+            self.poses.send(topics.SENSOR_POSE, body, b"%.6f" % wall)
             self.rig.ledger.poses_heard += 1
-        self.record((wall, x, y, theta))
+        self._record(row)

@@ -12,12 +12,14 @@ import struct
 import termios
 import tty
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import can
 import zmq
 
+from taxeld.door.binding import bound
 from taxeld.errors import SetupError
 from taxeld_hil.rig.adapters import Adapter
 from taxeld_hil.rig.ledger import WireUnit
@@ -210,13 +212,32 @@ class NativePort(Terminal):
         return isinstance(unit.item, bytes) and self._write(unit.item)
 
 
-def is_heard(xpub: zmq.Socket[Any], prefixes: set[bytes], topic: bytes = b"") -> bool:
-    """Whether somebody listens to a topic. ZeroMQ tells when a prefix gets its first subscriber and
-    when it loses its last; `prefixes` keeps the subscribed ones from call to call."""
-    while xpub.poll(0):
-        said = xpub.recv()
-        (prefixes.add if said[:1] == b"\x01" else prefixes.discard)(said[1:])
-    return any(topic.startswith(prefix) for prefix in prefixes)
+class Feed(ExitStack):
+    """Publishes at an endpoint, and knows whether somebody listens."""
+
+    def __init__(self, endpoint: str, key: str) -> None:
+        """`key` names the endpoint in a message. Raises SetupError where it cannot be had."""
+        super().__init__()
+        self._prefixes = set[bytes]()  # that somebody has subscribed to
+        context: zmq.Context[Any] = self.enter_context(zmq.Context())
+        self.socket: zmq.Socket[Any] = self.enter_context(context.socket(zmq.XPUB))
+        self.socket.setsockopt(zmq.LINGER, 0)
+        try:
+            self.enter_context(bound(self.socket, endpoint, key))
+        except SetupError:
+            self.close()
+            raise
+
+    def is_heard(self, topic: bytes = b"") -> bool:
+        """Whether somebody listens to a topic. ZeroMQ tells when a prefix gets its first subscriber
+        and when it loses its last."""
+        while self.socket.poll(0):
+            said = self.socket.recv()
+            (self._prefixes.add if said[:1] == b"\x01" else self._prefixes.discard)(said[1:])
+        return any(topic.startswith(prefix) for prefix in self._prefixes)
+
+    def send(self, *parts: bytes) -> None:
+        self.socket.send_multipart(parts, zmq.NOBLOCK)
 
 
 class ArrayPort(Port):
@@ -224,30 +245,21 @@ class ArrayPort(Port):
 
     def __init__(self, where: Path) -> None:
         """Raises SetupError where the path cannot be had."""
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.XPUB)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._prefixes = set[bytes]()
-        try:
-            self._socket.bind(f"ipc://{where.absolute()}")
-        except zmq.ZMQError as error:
-            self.close()
-            raise SetupError(f"{where}: cannot be made ({error.strerror})") from None
+        self.feed = Feed(f"ipc://{where.absolute()}", "--link")
 
     def take(self, t: float) -> list[Packet]:
-        was_open, self.is_open = self.is_open, is_heard(self._socket, self._prefixes)
+        was_open, self.is_open = self.is_open, self.feed.is_heard()
         asked = Packet(t, BROADCAST, Command.SET_AUTO_SYNC, bytes([self.is_open]))
         return [asked] if self.is_open != was_open else []
 
     def send(self, unit: WireUnit) -> bool:
         if not isinstance(unit.item, ArrayFrame):
             return False
-        self._socket.send(line_of(unit.item).encode(), zmq.NOBLOCK)
+        self.feed.send(line_of(unit.item).encode())
         return True
 
     def close(self) -> None:
-        self._socket.close()
-        self._context.term()
+        self.feed.close()
 
 
 class CanPort(Port):

@@ -5,7 +5,7 @@ scenario time stands still at BEFORE_S.
 """
 
 from collections.abc import Sequence
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -51,6 +51,8 @@ class Rig:
         self.world = world or world_of(scenario, seed)
         self._link = link
         self.model = self.world.links[link]
+        self.scenario, self._waits = scenario, scenario.advised
+        self._contacts, self._tried = -1, list[Poses]()  # approaches since so many contacts
         self._taxel_uids: list[int] = self.model.layout.uid.tolist()
         self.line = scenario.transport == "native"
         self.is_array = scenario.transport == "array"
@@ -70,20 +72,12 @@ class Rig:
         self._first = [0, *accumulate(channels)]
         self._was_on = True
         self._next_pose_s = -1e9
-        self._now = 0.0  # time stamp of the next frames [s]
-        self.begin(scenario, seed)
-
-    def lap(self, scenario: Scenario, seed: int) -> None:
-        """Go on with another scenario on the same skin: the object stands elsewhere, and scenario
-        time begins anew."""
-        self.world.lap(scenario, seed)
-        self.begin(scenario, seed)
-
-    def begin(self, scenario: Scenario, seed: int) -> None:
-        """Begin a scenario of this link, for which the world is made."""
-        self.scenario, self._waits = scenario, scenario.advised
-        self._contacts, self._tried = -1, list[Poses]()  # approaches since so many contacts
-        self._injector = self._injecting(scenario, seed + LINK_SEEDS * self._link)
+        for number, fault in enumerate(scenario.fault):
+            self._check(fault, number)
+        taxels = {i: self._channel[uid] for i, uid in enumerate(self._taxel_uids)}
+        of_modules = [range(first + 1, end) for first, end in pairwise(self._first)]
+        seed += LINK_SEEDS * link
+        self._injector = Injector(scenario.fault, seed, self.ledger, of_modules, taxels)
 
     @property
     def path(self) -> RobotPath:
@@ -124,15 +118,6 @@ class Rig:
         if not all(0 <= taxel < taxels for taxel in fault.taxels):
             raise SetupError(f"fault[{number}].taxels: the skin has 0..{taxels - 1}")
 
-    def _injecting(self, scenario: Scenario, seed: int) -> Injector:
-        for number, fault in enumerate(scenario.fault):
-            self._check(fault, number)
-        taxels = {i: self._channel[uid] for i, uid in enumerate(self._taxel_uids)}
-        modules = [
-            range(first + 1, end) for first, end in zip(self._first, self._first[1:], strict=False)
-        ]
-        return Injector(scenario.fault, seed, self.ledger, modules, taxels)
-
     @property
     def duration_s(self) -> float:
         """To the end of the path, and of the last fault's recovery."""
@@ -164,15 +149,14 @@ class Rig:
         return [unit for answer in answers for unit in self._send(*answer, t)]
 
     def scan(self, t: float, now: float) -> list[WireUnit]:
-        """The hub's units at scenario time t; `now` is any clock that goes on over laps."""
-        self._now = now
+        """The hub's units at scenario time t; `now` is the clock of its period."""
         if not self._power(t):
             return []
         out = [] if self.is_array else self._injector.due(t, line=self.line)
         if t >= 0.0 and self.hub.due(now):
-            counts = self._injector.counts(self.world.step(t, self._link, now).counts, t)
+            counts = self._injector.counts(self.world.step(t, self._link).counts, t)
             if self.is_array:
-                return [self._array(counts, now)]
+                return [self._array(counts)]
             for answer in self.hub.sensor_data(counts):
                 out += self._send(*answer, t)
         return out
@@ -201,10 +185,10 @@ class Rig:
         self._was_on = on
         return on
 
-    def _array(self, counts: Sequence[int | None], now: float) -> WireUnit:
+    def _array(self, counts: Sequence[int | None]) -> WireUnit:
         """The scan as an array of the layout's taxels."""
         taxels = (counts[self._channel[uid]] or 0 for uid in self._taxel_uids)
-        return WireUnit(ArrayFrame(now, ARRAY_ID, 0, tuple(taxels)), None)
+        return WireUnit(ArrayFrame(0.0, ARRAY_ID, 0, tuple(taxels)), None)
 
     def _send(self, command: int, payload: bytes, t: float) -> list[WireUnit]:
         if self.line:
@@ -212,7 +196,7 @@ class Rig:
             units = [WireUnit(line, self._sent(line, command, payload, 1))]
         else:
             data = cyskin.encode(command, payload)
-            frames = cyskin.fragment(data, self.hub.short_id, self._now)
+            frames = cyskin.fragment(data, self.hub.short_id)
             sent = self._sent(data, command, payload, len(frames))
             units = [WireUnit(frame, sent, i) for i, frame in enumerate(frames)]
         if self._injector.is_quiet(t):
@@ -236,10 +220,3 @@ def rigs_of(scenario: Scenario, seed: int) -> list[Rig]:
     scenario.check_links()
     world = world_of(scenario, seed)
     return [Rig(scenario.of_link(k), seed, k, world) for k in range(scenario.links)]
-
-
-def lap(rigs: Sequence[Rig], scenario: Scenario, seed: int) -> None:
-    """Go on with another scenario on the same links, as `Rig.lap`."""
-    rigs[0].world.lap(scenario, seed)
-    for number, rig in enumerate(rigs):
-        rig.begin(scenario.of_link(number), seed)

@@ -1,12 +1,20 @@
-"""A daemon on a fake clock: its own source, bring-up, decoder and pipeline, and its wire.
+"""A run on the fake clock, without waiting; deterministic for a scenario and a seed.
 
-Its process, its sockets and the kernel's devices are not part of it: a run in real time has them.
+The daemon is its own source, bring-up, decoder and pipeline. Its process, its sockets and the
+kernel's devices are not part of it: a run in real time has them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+import msgpack
+
+from taxeld.commands.advise import Adviser
+from taxeld.config import file as config_file
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
@@ -17,14 +25,24 @@ from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import SkinState
 from taxeld.source.device import Device, LostError
 from taxeld.source.opening import open_sources
+from taxeld.source.recorder import Recorder
 from taxeld.source.session import Item
 from taxeld.source.sources import ArraySource, LiveSource, Source, polled
-from taxeld.stream import messages
-from taxeld_hil.rig.ledger import WireUnit
-from taxeld_hil.rig.rig import Rig
+from taxeld.stream import messages, topics
+from taxeld_hil.grade.session import Run, add
+from taxeld_hil.rig.ledger import Ledger, WireUnit
+from taxeld_hil.rig.rig import Rig, rigs_of
+from taxeld_hil.run.session_run import SessionRun, write_truth
+from taxeld_hil.scenario import settings
+from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
+from taxeld_hil.world import subjects
 from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import BROADCAST, Command, Packet
 from taxeld_protocol.frames import Chunk, Frame
+
+NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
+HEALTH_S = 1.0
+NOWHERE = Path("/nowhere")  # where no file, socket and device is
 
 
 class MemoryLine:
@@ -33,8 +51,8 @@ class MemoryLine:
 
     def __init__(self, *rigs: Rig) -> None:
         self.rigs = rigs
-        self.t = 0.0  # scenario time [s], which begins anew with each lap
-        self.now = 0.0  # the daemon's clock [s], which goes on over laps
+        self.t = 0.0  # scenario time [s]
+        self.now = 0.0  # the daemon's clock [s]
         self.record: Callable[[Item], None] = lambda _: None  # called with each delivered
         self._waiting: list[Any] = []  # frames, bytes or arrays
 
@@ -143,10 +161,6 @@ class FakeDaemon:
         for outcome in self.pipeline.advance(polled(self.sources, t), t):
             self.pipeline.freshness.came(t, outcome.link)
 
-    def estimate(self, t: float) -> Estimate:
-        """The estimate as it would be published now."""
-        return self.pipeline.estimate_at(t)
-
     def message(self, e: Estimate, t: float) -> dict[str, Any]:
         """The message of that estimate."""
         fresh, age_us = self.pipeline.freshness, 1e6 * (t - e.t)
@@ -175,3 +189,130 @@ def _source(config: SourceConfig, skins: Mapping[int, Layout], line: MemoryLine)
         return LiveSource(config, skins, lambda _: MemoryDevice(line))
     line.ask(BROADCAST, Command.SET_AUTO_SYNC, b"\1")  # as a subscription does
     return ArraySource(config, skins)
+
+
+class FakeRun(SessionRun):
+    """A scenario on the fake clock, tick by tick."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        rate_hz: float = 100.0,
+        filter_keys: str = "",
+    ) -> None:
+        """`rate_hz`: of the daemon's loop, and of all that steps with it; `filter_keys`: lines of
+        TOML for the daemon's table [filter].
+
+        Raises:
+            SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
+        """
+        self.scenario, self._seed = scenario, seed
+        self.rigs = rigs_of(scenario, seed)
+        self.rig = self.rigs[0]
+        apart = [[rig] for rig in self.rigs]
+        self.lines = [MemoryLine(*on) for on in ([self.rigs] if scenario.one_bus else apart)]
+        self.line = self.lines[0]
+        devices = str(NOWHERE / "skin"), f"ipc://{NOWHERE}/poses", NOWHERE
+        self._text = settings.text(scenario, seed, *devices, filter_keys)
+        parsed = config_file.parse(self._text)
+        self.config = replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))
+        where = [rig.scenario.skin_layout for rig in self.rigs]
+        self.scenes = [subjects.on_layout(name, *where) for name in scenario.known]
+        self.skin = self.scenes[0].model.layout
+        self._kept: Sequence[SkinState | None] = [None] * len(self.rigs)
+        self.daemon: FakeDaemon | None = self._born()
+        self._recorder: Recorder | None = None
+        self._adviser = Adviser(self.config, settings.REACH) if scenario.advised else None
+        self._next_health_s = 0.0
+
+    def run(self) -> None:
+        """To the end."""
+        period = 1.0 / self.config.loop.rate_hz
+        ticks = 0
+        while ticks < round(self.duration_s / period):  # a robot that is advised goes on
+            self.step(ticks * period)
+            ticks += 1
+        for line in self.lines:
+            line.send_rest()
+        for k in range(ticks, ticks + 5):  # a scan may wait for its pose
+            self._set(k * period)
+            if self.daemon is not None:
+                self.daemon.tick(self.line.now)
+        self._publish_health()
+
+    @property
+    def duration_s(self) -> float:
+        """So far: a robot that is advised goes on."""
+        return max(rig.duration_s for rig in self.rigs)
+
+    def step(self, t: float) -> None:
+        """One tick of everything, at scenario time t."""
+        self._set(t)
+        self._kill_or_start(t)
+        for line in self.lines:
+            line.send_due()
+            if self.daemon is None:
+                line.take()
+        for link, rig in enumerate(self.rigs):
+            for row in rig.poses(t, t, t):
+                if self._recorder is not None:
+                    self._recorder.take(row, link)
+                if self.daemon is not None:
+                    rig.ledger.poses_heard += 1
+                    self.daemon.pose(*row, link)
+        if self.daemon is None:
+            return
+        self.daemon.tick(t)
+        pipeline = self.daemon.pipeline
+        e = pipeline.estimate_at(t)
+        if self._adviser and self.rig.wants_advice(e.t):
+            self.rig.advise(self._adviser.advise(pipeline.estimator.memory), e.t, t)
+        if self.published is not None:
+            add(self.published, t, topics.ESTIMATE, msgpack.packb(self.daemon.message(e, t)))
+        if t >= self._next_health_s:
+            self._next_health_s = t + HEALTH_S
+            self._publish_health()
+
+    def _publish_health(self) -> None:
+        if self.daemon is not None and self.published is not None:
+            body = msgpack.packb(self.daemon.health(self.line.now))
+            add(self.published, self.line.t, topics.HEALTH, body)
+
+    def _config(self, _: Path) -> str:
+        return self._text
+
+    def _play(self, directory: Path, _: Path) -> None:
+        write_truth(directory, self.rig.world.truth)
+        with Recorder(directory, moves=True, links=len(self.rigs)) as self._recorder:
+            for link, line in enumerate(self.lines):
+                line.record = partial(self._recorder.take, link=link)
+            self.run()
+
+    def _about(self, name: str) -> Run:
+        ledger = Ledger((), self.rig.ledger.period_s)
+        for rig in self.rigs:
+            ledger.add(rig.ledger)
+        scenario = self.scenario
+        taxels = [self.rigs[fault.link].taxels_of(fault) for fault in scenario.fault]
+        not_injected = (*NOT_INJECTED, *(OF_FRAMES if self.rig.is_array else ()))
+        about = name, self._seed, "sim", "fake", scenario, self.line.t
+        return Run(*about, taxels, not_injected, ledger.entries())
+
+    def _set(self, t: float) -> None:
+        for line in self.lines:
+            line.t = line.now = t
+
+    def _kill_or_start(self, t: float) -> None:
+        """A daemon that is started has what the one before has stored of the skin."""
+        killed = self.rig.fails("daemon_killed", t)
+        if killed and self.daemon is not None:
+            self._kept = [stage.skin.state() for stage in self.daemon.pipeline.stages]
+            self.daemon = None
+        elif not killed and self.daemon is None:
+            for rig in self.rigs:
+                rig.ledger.begin()
+            self.daemon = self._born()
+
+    def _born(self) -> FakeDaemon:
+        return FakeDaemon(self.config, self.scenes, self.lines, self._kept)

@@ -1,12 +1,13 @@
 """Runs in real time: the daemon is a process of its own, fed by a virtual skin or by hardware."""
 
-import tempfile
+import subprocess
+import sys
 import time
-from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any, Self
+from statistics import median
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -14,29 +15,27 @@ import zmq
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import SceneConfig
-from taxeld.door.binding import bound
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.model.scene import Scene
+from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
+from taxeld.source import session
 from taxeld.source.recorder import Recorder
-from taxeld.stream import topics
+from taxeld.stream import messages, topics
 from taxeld_hil.grade.reconcile import laws
 from taxeld_hil.grade.session import Run, add
 from taxeld_hil.rig.bench import Bench
 from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S, Rig
-from taxeld_hil.run.processes import LiveDaemon
 from taxeld_hil.run.session_run import SessionRun, write_truth
-from taxeld_hil.run.table import HEADER, OBJECT, ContactTable
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import KINDS, OF_FRAMES, Scenario
 from taxeld_hil.world.world import load_model
 
 START_S = 60.0  # until the first scan; a busy machine has taken 20 s to start a daemon
+GRACE_S = 5.0  # for the daemon to stop
 STEP_MS = 2
 VCAN = "vcan0"  # of transport can
 COUNTED_S = 20.0  # at most, until the daemon has counted all that it was sent
-DRAIN_S = 0.2
 CONTACT_S = 120.0  # on hardware: longest that the operator may take for each contact
 NOT_INJECTED = {  # transport → kinds of faults
     "can": ("unplugged", "adapter_closed"),  # something else brings the interface up and down
@@ -45,76 +44,206 @@ NOT_INJECTED = {  # transport → kinds of faults
 }
 TARGETS = {"can": "can", "serial": "native", "slcan": "slcan"}  # the target's kind → transport
 ON_HARDWARE = ("daemon_killed", "subscriber_dead")  # kinds of faults that are possible there
+HEADER = (
+    "contact  taxels  modes       p  radius [mm]  likeliest x, y, yaw [mm, mm, deg]  error [mm]"
+)
 
 Say = Callable[[str], None]
 
 
-class LiveRun(SessionRun):
-    """A run in real time; its processes run while it is entered."""
+class LiveDaemon(ExitStack):
+    """The daemon's process, which may be killed, and two subscribers of its streams: the harness's
+    own, and one that may die."""
 
-    no_start = f"the daemon did not start the skin within {START_S:g} s"
-    log_level = "error"  # the daemon warns of injected faults, which are in the ledger
+    def __init__(self, config: Path, place: Path) -> None:
+        """`config`: its file, by which its sockets are in `place`."""
+        super().__init__()
+        self._command = [sys.executable, "-m", "taxeld.cli", "run", str(config)]
+        self._endpoint = f"ipc://{place}/stream"
+        self._context: zmq.Context[Any] = self.enter_context(zmq.Context())
+        self._own = self._subscriber(topics.ESTIMATE, topics.TAXELS, topics.HEALTH)
+        self._other = self._subscriber(topics.ESTIMATE)
+        self._is_new = False  # whether the other has taken a dead one's place, and heard nothing
+        self._process: subprocess.Popen[bytes] | None = None
+        self.callback(self._kill)
+        self._start()
 
-    def __init__(self, scenario: Scenario, say: Say) -> None:
-        """`say` prints lines as the run goes on.
+    @property
+    def resident_mb(self) -> float:
+        """Resident memory of the daemon; 0 while it does not run."""
+        if self._process is None:
+            return 0.0
+        status = Path(f"/proc/{self._process.pid}/status").read_text(encoding="ascii")
+        return sum(int(s.split()[1]) for s in status.splitlines() if s[:6] == "VmRSS:") / 1024.0
+
+    def messages(self, wait_ms: int) -> Iterator[tuple[bytes, bytes]]:
+        """Topics and bodies of what has come; the first is waited for."""
+        while self._own.poll(wait_ms):
+            topic, body, _ = self._own.recv_multipart()
+            yield topic, body
+            wait_ms = 0
+
+    def act(self, fails: Callable[[str], bool]) -> list[str]:
+        """Kill and start what `fails` says of each kind of fault; → what has happened.
 
         Raises:
-            SetupError: the scenario needs the fake clock, or the daemon would refuse a bundle on
-                this layout.
+            SetupError: the daemon has ended by itself; its own message says why.
         """
-        self.scenario, self._say = scenario.in_real_time(), say
+        if self._process is not None and (status := self._process.poll()) is not None:
+            raise SetupError(f"the daemon ended early, with status {status}")
+        events = list[str]()
+        is_dead = fails("daemon_killed")
+        if is_dead and self._process is not None:
+            self._kill()
+            events.append("daemon killed")
+        elif not is_dead and self._process is None:
+            self._start()
+            events.append("daemon started")
+        if fails("subscriber_dead"):
+            self._other.close()
+        elif self._other.closed:
+            self._other, self._is_new = self._subscriber(topics.ESTIMATE), True
+        while not self._other.closed and self._other.poll(0):
+            self._other.recv_multipart()
+            events += ["subscriber back"] * self._is_new
+            self._is_new = False
+        return events
+
+    def stop(self) -> None:
+        """Raises SetupError where the daemon does not stop as asked."""
+        if self._process is None:
+            return
+        self._process.terminate()
+        try:
+            status = self._process.wait(GRACE_S)
+        except subprocess.TimeoutExpired:
+            raise SetupError(f"the daemon did not stop within {GRACE_S:g} s") from None
+        if status:
+            raise SetupError(f"the daemon ended with status {status}")
+
+    def _subscriber(self, *named: bytes) -> zmq.Socket[Any]:
+        made: zmq.Socket[Any] = self.enter_context(self._context.socket(zmq.SUB))
+        made.setsockopt(zmq.LINGER, 0)
+        for topic in named:
+            made.setsockopt(zmq.SUBSCRIBE, topic)
+        made.connect(self._endpoint)
+        return made
+
+    def _start(self) -> None:
+        self._process = subprocess.Popen(self._command)  # noqa: S603
+
+    def _kill(self) -> None:
+        """End it as a crash would."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+
+class LiveRun(SessionRun):
+    """A run in real time. The operator's robot moves and touches, and the daemon listens to the
+    device. Nothing is injected into a real skin; the daemon and a subscriber can be killed."""
+
+    target, seed = "sim", 0
+    log_level = "warning"
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        target: str,
+        poses: str,
+        truth: Sequence[float] | None,
+        say: Say,
+    ) -> None:
+        """`target`: can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0; `poses`: the robot's
+        endpoint, empty: the sensor stands still; `truth` (3,) of the object in its world; `say`
+        prints lines as the run goes on.
+
+        Raises:
+            SetupError: the target is malformed.
+        """
+        kind, _, self._channel = target.partition(":")
+        if kind not in TARGETS or not self._channel:
+            named = ", ".join(f"{name}:DEVICE" for name in TARGETS)
+            raise SetupError(f"--target: '{target}' is none of sim, {named}")
+        self.target, self._poses = target, poses
+        self._init(scenario.over(TARGETS[kind]), None if truth is None else np.array(truth), say)
+
+    def _init(self, scenario: Scenario, truth: Poses | None, say: Say) -> None:
+        """Raises SetupError where the scenario needs the fake clock, or the daemon would refuse a
+        bundle on this layout."""
+        self.scenario, self.truth, self._say = scenario.in_real_time(), truth, say
         self._health: dict[str, Any] = {}  # the last
+        self._resident_mb = list[float]()  # with each message of health
+        self._start_s: float | None = None  # of scenario time
+        self._in_contact, self._most_taxels = False, 0
+        self._is_done = False  # all contacts were made, and the last is over
         self._is_over = False  # all is sent, and counters alone are waited for
+        self._scene = load_model(scenario).scene
         known = SceneConfig(bundles=scenario.known)
         bundle.load_all(known, [layouts.load(scenario.skin_layout)])
 
-    def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="taxeld-")))
-            text = self._open(stack, place)
-            self.config_text = f'{text}[log]\nlevel = "{self.log_level}"\n'
-            self.daemon = LiveDaemon(stack, place, self.config_text)
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        with self._stack:
-            if kind is None:
-                self.daemon.stop()
-
     @property
-    @abstractmethod
     def t(self) -> float:
         """Scenario time."""
+        return BEFORE_S if self._start_s is None else time.monotonic() - self._start_s
 
-    @abstractmethod
-    def _open(self, stack: ExitStack, place: Path) -> str:
-        """Begin what feeds the daemon; → the daemon's configuration. Sockets are in `place`."""
+    def _config(self, place: Path) -> str:
+        text = settings.text(self.scenario, self.seed, self._channel, self._poses, place)
+        return f'{text}[log]\nlevel = "{self.log_level}"\n'
 
-    @abstractmethod
+    def _play(self, directory: Path, place: Path) -> None:
+        times = self.scenario.contacts
+        self._say(f"touch the object {times} times, after a second of touching nothing")
+        self._follow(directory, place)
+
+    def _follow(self, directory: Path, place: Path) -> None:
+        """Raises SetupError where a process fails or nothing starts."""
+        if self.truth is not None:
+            write_truth(directory, self.truth)
+        began = time.monotonic()
+        self._say(HEADER + "  object" * (len(self.scenario.known) > 1))
+        with LiveDaemon(directory / session.CONFIG, place) as self.daemon:
+            while not self._ends():
+                self._step()
+                for event in self.daemon.act(self._fails):
+                    self._on(event)
+                if self.t == BEFORE_S and time.monotonic() - began > START_S:
+                    cure = "'taxeld-hil accept' checks a skin"
+                    raise SetupError(f"{self.target}: no scan came within {START_S:g} s; {cure}")
+            self._settle()
+            self.daemon.stop()
+
+    def _ends(self) -> bool:
+        """Whether the time is up, or all contacts are made and the faults long over."""
+        wait_s = self.scenario.expect.recovery_s + SETTLE_S
+        ends = [fault.end_s for fault in self.scenario.fault if fault.kind in ON_HARDWARE]
+        is_late = self.t > CONTACT_S * self.scenario.contacts
+        return is_late or (self._is_done and self.t > max(ends, default=0.0) + wait_s)
+
+    def _settle(self) -> None:
+        """Wait until all is counted."""
+
     def _fails(self, kind: str) -> bool:
         """Whether a fault of this kind is on."""
+        on = [fault for fault in self.scenario.fault if fault.at_s <= self.t < fault.end_s]
+        return kind in ON_HARDWARE and any(fault.kind == kind for fault in on)
 
-    def _follow(self, scene: Scene, truth: Poses | None, ends: Callable[[], bool]) -> None:
-        """Go on to the end. Raises SetupError where a process fails or nothing starts."""
-        self._table, began = ContactTable(scene, truth), time.monotonic()
-        self._say(HEADER + OBJECT * (len(self.scenario.known) > 1))
-        while not ends():
-            self._step()
-            for event in self.daemon.act(self._fails):
-                self._on(event)
-            if self.t == BEFORE_S and time.monotonic() - began > START_S:
-                raise SetupError(self.no_start)
+    def _on(self, event: str) -> None:
+        """Something has happened to the daemon or a subscriber."""
+        if event == "subscriber back" and self.published is not None:
+            add(self.published, self.t, b"subscriber_dead")
 
     def _step(self) -> None:
         """Take what the daemon has published."""
         for topic, body in self.daemon.messages(STEP_MS):
             message = msgpack.unpackb(body)
             if topic == topics.TAXELS:
-                self._table.on_taxels(message)
+                self._most_taxels = max(self._most_taxels, sum(z > 0 for z in message["z"]))
                 continue
             if topic == topics.HEALTH:
                 self._health = message
+                self._resident_mb.append(self.daemon.resident_mb)
             elif self._is_over:
                 continue
             else:
@@ -123,53 +252,64 @@ class LiveRun(SessionRun):
                 add(self.published, self.t, topic, body)
 
     def _estimated(self, message: dict[str, Any]) -> None:
-        if line := self._table.on_estimate(message):
-            self._say(line)
+        if self._start_s is None and message["t"] > 0.0:
+            self._start_s = time.monotonic()
+        enough = message["contacts"] >= self.scenario.contacts
+        self._is_done = enough and not message["contact"]
+        if self._in_contact and not message["contact"]:
+            self._say(self._line(message))
+            self._most_taxels = 0
+        self._in_contact = message["contact"]
 
-    def _on(self, event: str) -> None:
-        """Something has happened to a process."""
-        if event == "subscriber printed" and self.published is not None:
-            add(self.published, self.t, b"subscriber_dead")
+    def _line(self, message: dict[str, Any]) -> str:
+        """On a contact that has ended."""
+        pose = np.array([message["map"][key] for key in ("x", "y", "theta")])
+        (x, y), yaw = 1e3 * pose[:2], np.degrees(pose[2])
+        line = (
+            f"{message['contacts']:7d} {self._most_taxels:7d} {len(message['modes']):6d} "
+            f"{message['p']:7.1%} {1e3 * message['radius_m']:12.1f}    "
+            f"({x:7.1f}, {y:7.1f}, {yaw:6.1f})"
+        )
+        if self.truth is not None:
+            is_valid = message["valid"]
+            error_m = add_m(self._scene, pose, self.truth)[1] if is_valid else np.nan
+            line += f" {1e3 * error_m:16.1f}"
+        return line + f"  {messages.object_of(message)}" * (len(self.scenario.known) > 1)
+
+    def _about(self, name: str) -> Run:
+        taxels = [()] * len(self.scenario.fault)
+        not_injected = tuple(kind for kind in KINDS if kind not in ON_HARDWARE)
+        return Run(name, 0, self.target, "real", self.scenario, self.t, taxels, not_injected)
 
 
 class SimulatedRun(LiveRun):
-    """A virtual skin and robot feed the daemon over a real transport; or several scenarios do, lap
-    by lap."""
+    """A run in real time in which a virtual skin and robot feed the daemon over a transport."""
+
+    log_level = "error"  # the daemon warns of injected faults, which are in the ledger
 
     def __init__(self, scenario: Scenario, seed: int, say: Say = lambda _: None) -> None:
-        super().__init__(scenario, say)
-        self._seed, self.rig = seed, Rig(self.scenario, seed)
-
-    def _open(self, stack: ExitStack, place: Path) -> str:
-        context = stack.enter_context(zmq.Context())
-        poses: zmq.Socket[Any] = stack.enter_context(context.socket(zmq.XPUB))
-        poses.setsockopt(zmq.LINGER, 0)
-        poses.bind(f"ipc://{place}/poses")
-        where: Path | str = VCAN if self.scenario.transport == "can" else place / "skin"
-        self._bench = stack.enter_context(closing(Bench(self.rig, where, poses)))
-        at = str(where), f"ipc://{place}/poses", place
-        return settings.text(self.scenario, self._seed, *at)
+        """Raises SetupError where the scenario needs the fake clock, or does not fit the skin."""
+        self.seed, self.rig = seed, Rig(scenario.in_real_time(), seed)
+        self._init(scenario, self.rig.world.truth, say)
 
     @property
     def t(self) -> float:
         return self._bench.t
 
-    def lap(self, scenario: Scenario, seed: int) -> None:
-        """Have the daemon forget the object, and begin another scenario on the same skin."""
-        self.daemon.reset()
-        until = time.monotonic() + DRAIN_S
-        while time.monotonic() < until:  # what was published of the object before is discarded
-            self._step()
-        self._bench.lap(scenario, seed)
-        self.scenario, self._seed, self._is_over = scenario, seed, False
+    def _config(self, place: Path) -> str:
+        self._where = VCAN if self.scenario.transport == "can" else place / "skin"
+        self._channel, self._poses = str(self._where), f"ipc://{place}/poses"
+        return super()._config(place)
 
-    def _play(self, directory: Path) -> None:
-        rig, truth = self.rig, self.rig.world.truth
-        with Recorder(directory, moves=True) as recorder:
-            self._bench.record = recorder.take
-            write_truth(directory, truth)
-            self._follow(rig.model.scene, truth, lambda: self.t >= rig.duration_s)
-            self._settle()
+    def _play(self, directory: Path, place: Path) -> None:
+        with (
+            Recorder(directory, moves=True) as recorder,
+            closing(Bench(self.rig, self._where, self._poses, recorder.take)) as self._bench,
+        ):
+            self._follow(directory, place)
+
+    def _ends(self) -> bool:
+        return self.t >= self.rig.duration_s
 
     def _settle(self) -> None:
         """Send what was held back, and wait until all is counted, or for COUNTED_S."""
@@ -180,13 +320,6 @@ class SimulatedRun(LiveRun):
             held = laws(self.rig.ledger.entries(), self._health, line=self.rig.line)
             if all(law.holds for law in held):
                 return
-
-    def _about(self, name: str) -> Run:
-        rig, scenario = self.rig, self.scenario
-        taxels = [rig.taxels_of(fault) for fault in scenario.fault]
-        not_injected = NOT_INJECTED.get(scenario.transport, ())
-        about = name, self._seed, "sim", "real", scenario, rig.duration_s
-        return Run(*about, taxels, not_injected, rig.ledger.entries())
 
     def _fails(self, kind: str) -> bool:
         return self.rig.fails(kind, self.t)
@@ -202,78 +335,18 @@ class SimulatedRun(LiveRun):
         elif event == "daemon started":  # another host will listen
             self.rig.ledger.begin()
 
-
-class HardwareRun(LiveRun):
-    """The operator's robot moves and touches, and the daemon listens to the device.
-
-    Nothing is injected into a real skin; the daemon and a subscriber can be killed.
-    """
-
-    log_level = "warning"
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        target: str,
-        poses: str,
-        truth: Sequence[float] | None,
-        say: Say,
-    ) -> None:
-        """`target`: can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0; `poses`: the robot's
-        endpoint, empty: the sensor stands still; `truth` (3,) of the object in its world.
-
-        Raises:
-            SetupError: the target is malformed.
-        """
-        kind, _, self._channel = target.partition(":")
-        if kind not in TARGETS or not self._channel:
-            named = ", ".join(f"{name}:DEVICE" for name in TARGETS)
-            raise SetupError(f"--target: '{target}' is none of sim, {named}")
-        super().__init__(scenario.over(TARGETS[kind]), say)
-        self._target, self._poses = target, poses
-        self._truth = None if truth is None else np.array(truth)
-        cure = "check the skin with 'taxeld-hil accept'"
-        self.no_start = f"{target}: no scan came within {START_S:g} s; {cure}"
-        self._start_s: float | None = None  # of scenario time
-        self._is_done = False  # all contacts were made, and the last is over
-
-    def _open(self, _: ExitStack, place: Path) -> str:
-        return settings.text(self.scenario, 0, self._channel, self._poses, place)
-
-    @property
-    def t(self) -> float:
-        return BEFORE_S if self._start_s is None else time.monotonic() - self._start_s
-
-    def _play(self, directory: Path) -> None:
-        if self._truth is not None:
-            write_truth(directory, self._truth)
-        contacts = self.scenario.contacts
-        self._say(f"touch the object {contacts} times, after a second of touching nothing")
-        scene = load_model(self.scenario).scene
-        self._follow(scene, self._truth, self._ends)
-
-    def _fails(self, kind: str) -> bool:
-        on = [fault for fault in self.scenario.fault if fault.at_s <= self.t < fault.end_s]
-        return kind in ON_HARDWARE and any(fault.kind == kind for fault in on)
-
-    def _estimated(self, message: dict[str, Any]) -> None:
-        if self._start_s is None and message["t"] > 0.0:
-            self._start_s = time.monotonic()
-        enough = message["contacts"] >= self.scenario.contacts
-        self._is_done = enough and not message["contact"]
-        super()._estimated(message)
-
-    def _ends(self) -> bool:
-        """Whether the time is up, or all contacts are made and the faults long over."""
-        wait_s = self.scenario.expect.recovery_s + SETTLE_S
-        ends = [fault.end_s for fault in self.scenario.fault if fault.kind in ON_HARDWARE]
-        is_late = self.t > CONTACT_S * self.scenario.contacts
-        return is_late or (self._is_done and self.t > max(ends, default=0.0) + wait_s)
-
     def _about(self, name: str) -> Run:
-        taxels = [()] * len(self.scenario.fault)
-        not_injected = tuple(kind for kind in KINDS if kind not in ON_HARDWARE)
-        return Run(name, 0, self._target, "real", self.scenario, self.t, taxels, not_injected)
+        rig, scenario = self.rig, self.scenario
+        taxels = [rig.taxels_of(fault) for fault in scenario.fault]
+        not_injected = NOT_INJECTED.get(scenario.transport, ())
+        about = name, self.seed, self.target, "real", scenario, rig.duration_s, taxels, not_injected
+        return Run(*about, rig.ledger.entries(), _growth(self._resident_mb))
+
+
+def _growth(values: Sequence[float]) -> float:
+    """From the median of the first third to that of the last."""
+    third = max(len(values) // 3, 1)
+    return round(median(values[-third:]) - median(values[:third]), 1) if values else 0.0
 
 
 def emulate(
@@ -289,14 +362,11 @@ def emulate(
             session.
     """
     rig, began = Rig(scenario.in_real_time(), seed), time.monotonic()
-    with ExitStack() as stack:
-        context = stack.enter_context(zmq.Context())
-        poses = stack.enter_context(context.socket(zmq.XPUB))
-        poses.setsockopt(zmq.LINGER, 0)
-        stack.enter_context(bound(poses, endpoint, "--poses"))
-        recorder = stack.enter_context(Recorder(directory, moves=True))
+    with (
+        Recorder(directory, moves=True) as recorder,
+        closing(Bench(rig, where, endpoint, recorder.take)) as bench,
+    ):
         write_truth(directory, rig.world.truth)
-        bench = stack.enter_context(closing(Bench(rig, where, poses, recorder.take)))
         while bench.t < rig.duration_s:
             time.sleep(1e-3 * STEP_MS)
             bench.step()

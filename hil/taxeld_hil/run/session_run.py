@@ -4,7 +4,7 @@ import tempfile
 import time
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import BinaryIO
 
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
@@ -16,7 +16,6 @@ from taxeld_hil.grade.session import PUBLISHED, Run
 class SessionRun(ABC):
     """A scenario around a daemon."""
 
-    config_text: str  # the daemon's configuration
     published: BinaryIO | None = None  # while it is played
 
     def graded(self, name: str, directory: Path | None = None) -> Grade:
@@ -26,34 +25,33 @@ class SessionRun(ABC):
         Raises:
             SetupError: the directory has a session, or a process failed.
         """
-        if directory is None:
-            with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
-                return self.graded(name, Path(place))
-        directory.mkdir(parents=True, exist_ok=True)
-        path = directory / session.CONFIG
-        try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(self.config_text)
-        except FileExistsError:
-            raise SetupError(f"--out: {path} is there already; name another directory") from None
-        with (directory / PUBLISHED).open("wb") as self.published:
-            self._play(directory)
-        self.published = None
-        self._about(name).write(directory)
-        graded = grade(directory)
-        graded.write(directory)
-        return graded
-
-    def __enter__(self) -> Self:
-        return self
+        with tempfile.TemporaryDirectory(prefix="taxeld-") as made:
+            place = Path(made)
+            directory = directory or place / "session"
+            directory.mkdir(parents=True, exist_ok=True)
+            path = directory / session.CONFIG
+            try:
+                with path.open("x", encoding="utf-8") as file:
+                    file.write(self._config(place))
+            except FileExistsError:
+                line = f"--out: {path} is there already; name another directory"
+                raise SetupError(line) from None
+            with (directory / PUBLISHED).open("wb") as self.published:
+                self._play(directory, place)
+            self.published = None
+            self._about(name).write(directory)
+            graded = grade(directory)
+            graded.write(directory)
+            return graded
 
     @abstractmethod
-    def __exit__(self, kind: object, *_: object) -> None:
-        """End what runs beside it."""
+    def _config(self, place: Path) -> str:
+        """The daemon's configuration; its sockets are in `place`."""
 
     @abstractmethod
-    def _play(self, directory: Path) -> None:
-        """To the end; what skin and robot send goes into the directory."""
+    def _play(self, directory: Path, place: Path) -> None:
+        """To the end, with a daemon of that configuration; what skin and robot send goes into the
+        directory."""
 
     @abstractmethod
     def _about(self, name: str) -> Run:

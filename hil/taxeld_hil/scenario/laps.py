@@ -8,13 +8,14 @@ import numpy as np
 from taxeld.layout import read as layouts
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Expect, Fault, Scenario
 
-CONTACTS = 8
+CONTACTS = 8  # a minute
 HOLDS_S = (0.3, 0.3, 0.3, 2.0, 6.0)  # one of these for each lap's presses
-FAULTS_MEAN = 1.5  # a lap
-FIRST_S, LAST_S = 3.0, 40.0  # between these a fault begins
+FIRST_S, LAST_S = 3.0, 40.0  # of a minute: between these a fault begins
+PAUSE_S = 6.0  # mean time to the next fault
+FAULTS_MEAN = 1.5  # a minute
 FOR_S = (0.2, 6.0)
+SHOWN_S = 3.0  # long enough to hit something, and for the daemon to show it
 STUCK_S = (12.5, 15.0)  # long enough for the daemon to find a stuck taxel
-LAP_S = 60.0  # at least; long holds take more
 
 FRAMES = ("dropped", "duplicated", "reordered", "corrupted", "late", "flooded")
 DEVICE = ("reboot", "unplugged")
@@ -23,26 +24,28 @@ KINDS = FRAMES + SKIN_KINDS + DEVICE + ROBOT
 DECEPTIVE = ("baseline_jump", "pose_late", "pose_jumping")  # look like a touch elsewhere
 
 
-def lap(base: Scenario, seed: int, number: int, kinds: tuple[str, ...] = KINDS) -> Scenario:
-    """The scenario of a lap; a fault begins when those before it are over and recovered from."""
+def lap(
+    base: Scenario, seed: int, number: int, minutes: int = 1, kinds: tuple[str, ...] = KINDS
+) -> Scenario:
+    """The scenario of a lap of so many minutes, or more where presses are long; a fault begins when
+    those before it are over and recovered from."""
     rng = np.random.default_rng([seed, number])
     modules, taxels = _sizes(base.skin_layout)
-    hold_s = float(rng.choice(HOLDS_S))
-    faults: list[Fault] = []
-    at_s = FIRST_S
-    for _ in range(rng.poisson(FAULTS_MEAN) if kinds else 0):
-        at_s += float(rng.exponential(6.0))
-        if at_s > LAST_S:
-            break
-        kind = str(rng.choice(kinds))
-        faults.append(_fault(rng, kind, round(at_s, 2), modules, taxels))
-        at_s = faults[-1].end_s + base.expect.recovery_s + 1.0
-    rest_s = max(LAP_S - CONTACTS * (3.0 + hold_s), 1.0)
+    hold_s, contacts = float(rng.choice(HOLDS_S)), CONTACTS * minutes
+    faults, at_s = list[Fault](), 0.0
+    for begin_s in range(0, 60 * minutes, 60):
+        at_s = max(at_s, begin_s + FIRST_S)
+        for _ in range(rng.poisson(FAULTS_MEAN)):
+            at_s += float(rng.exponential(PAUSE_S))
+            if at_s > begin_s + LAST_S:
+                break
+            faults.append(_fault(rng, str(rng.choice(kinds)), round(at_s, 2), modules, taxels))
+            at_s = faults[-1].end_s + base.expect.recovery_s + 1.0
     return replace(
         base,
-        contacts=CONTACTS,
+        contacts=contacts,
         hold_s=hold_s,
-        rest_s=rest_s,
+        rest_s=max(60.0 * minutes - contacts * (3.0 + hold_s), 1.0),
         expect=Expect(found=False),
         fault=tuple(faults),
     )
@@ -56,8 +59,9 @@ def _sizes(layout: str) -> tuple[int, int]:
 
 def _fault(rng: np.random.Generator, kind: str, at_s: float, modules: int, taxels: int) -> Fault:
     shortest, longest = STUCK_S if kind == "taxel_stuck" else FOR_S
-    if kind in (*FRAMES, *SKIN_KINDS) and kind != "taxel_stuck":
-        shortest = 3.0  # long enough to hit something, and for the daemon to show it
+    if kind in (*FRAMES, *SKIN_KINDS):
+        shortest = max(shortest, SHOWN_S)
+    named = kind in ("taxel_stuck", "saturated")
     return Fault(
         kind=kind,
         at_s=at_s,
@@ -66,9 +70,7 @@ def _fault(rng: np.random.Generator, kind: str, at_s: float, modules: int, taxel
         delay_s=round(float(rng.uniform(0.02, 0.6)), 3),
         per_s=float(rng.integers(100, 4000)),
         module=int(rng.integers(modules)),
-        taxels=tuple(sorted(rng.choice(taxels, 2, replace=False).tolist()))
-        if kind in ("taxel_stuck", "saturated")
-        else (),
+        taxels=tuple(sorted(rng.choice(taxels, 2, replace=False).tolist())) if named else (),
         counts=float(rng.choice([-3000.0, 3000.0])),
         offset_m=float(rng.uniform(1.5, 5.0)),
     )

@@ -94,12 +94,6 @@ class World:
         self.truth = pose
         self._places = [(0.0, pose)]  # where it stands, by time on the path [s]
 
-    def lap(self, scenario: Scenario, seed: int) -> None:
-        """Put the object elsewhere, before the same skins, and plan a scenario's touches; scenario
-        time begins anew."""
-        self._begin(Conditions.of(scenario), seed, np.random.default_rng([seed, 2]))
-        self.plan(guide_of(scenario), scenario.contacts)
-
     def plan(self, guide: str, touches: int) -> None:
         """Have the robots touch the object so often: by `random` presses, or `around` it. By any
         other guide they begin, and are told what to touch by `touch`."""
@@ -210,9 +204,8 @@ class World:
         """The poses (…, 3) that the robot states for scenario times t (…)."""
         return self.paths[link].stated(np.asarray(t) - IDLE_S)
 
-    def step(self, t: float, link: int = 0, now: float | None = None) -> Step:
-        """A scan of a link at scenario time t; `now`: a clock that goes on where another object is
-        placed. Times do not go back."""
+    def step(self, t: float, link: int = 0) -> Step:
+        """A scan of a link at scenario time t. Times do not go back."""
         sensor = self.sensor(t, link)
         if t >= self.push_s and not link:
             self._give_way(sensor)
@@ -222,7 +215,7 @@ class World:
             seen = np.vstack([seen, se2.compose(seen, self.twin)])
         skin, begun = self.skins[link], self.paths[link].touched
         touching = bool(len(begun)) and t - IDLE_S >= begun[0, 0]
-        counts = skin.counts(seen, t if now is None else now, touching=touching)
+        counts = skin.counts(seen, t, touching=touching)
         return Step(sensor, truth, skin.depth, counts)
 
 
