@@ -1,7 +1,6 @@
 """Options that the measurements of the harness and of the training share."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,25 +18,16 @@ def add_layouts(made: argparse.ArgumentParser, own: str) -> argparse.Action:
 
 
 def layouts(given: Sequence[str] | None) -> list[str]:
-    """The layouts that `--layout` named, "" for OWN. A file that is absent is left out, with a line
-    on stderr.
+    """The layouts that `--layout` named, "" for OWN.
 
     Raises:
-        SetupError: none is left, or rows of two could not be told apart.
+        SetupError: rows of two could not be told apart.
     """
     found: dict[str, str] = {}
     for spec in given or [OWN]:
-        if spec == OWN or ":" in spec:
-            kept = "" if spec == OWN else spec
-        elif Path(spec).is_file():
-            kept = str(Path(spec).resolve())
-        else:
-            sys.stderr.write(f"--layout: there is no file {spec}: its rows are left out\n")
-            continue
+        kept = "" if spec == OWN else spec if ":" in spec else str(Path(spec).resolve())
         if found.setdefault(layout_name(kept), kept) != kept:
             raise SetupError(f"--layout: two are called {layout_name(kept)}; rename a file")
-    if not found:
-        raise SetupError("--layout: none of these files is there; name others, or none")
     return list(found.values())
 
 
