@@ -51,9 +51,7 @@ def _run(args: argparse.Namespace) -> int:
         raise SetupError("--png: a run on hardware records no session to show")
     if args.png:
         from taxeld_hil.run import picture
-    scenario = _scenario(args)
-    if args.advised:
-        scenario = replace(scenario, advised=True)
+    scenario = _scenario(args, *args.layout or ())
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     run: live.LiveRun | FakeRun
@@ -77,9 +75,9 @@ def _say_next(args: argparse.Namespace, scenario: "Scenario", out: Path) -> None
     """How to see the session, by Rerun or by matplotlib alone, and how to go on with its bundle."""
     _say(f"see it: {_command('taxeld', 'view', out)}")
     if not args.png:
-        given = [args.scenario, "--seed", args.seed, *["--advised"] * args.advised]
-        for option, value in (("--object", args.object), ("--foam", args.foam)):
-            given += [option, value] if value else []
+        given = [args.scenario, *["--advised"] * args.advised]
+        for option, value in (("seed", args.seed), ("object", args.object), ("foam", args.foam)):
+            given += [f"--{option}", value] if value else []
         for layout in args.layout or ():
             given += ["--layout", layout]
         png = f"{Path(args.scenario).stem}.png"
@@ -207,15 +205,16 @@ def _emulate(args: argparse.Namespace) -> int:
     return 1
 
 
-def _scenario(args: argparse.Namespace) -> "Scenario":
-    """The scenario that the arguments name, with their object, foam and layout.
+def _scenario(args: argparse.Namespace, *layouts: str) -> "Scenario":
+    """The scenario that the arguments name, with their object and foam, and these layouts.
 
     Raises:
         SetupError: there is no such scenario or foam.
     """
     from taxeld_hil.scenario import scenario as scenarios
 
-    return scenarios.load(args.scenario).touching(args.object).on(args.foam, *args.layout or ())
+    found = scenarios.load(args.scenario).touching(args.object).on(args.foam, *layouts)
+    return replace(found, advised=found.advised or args.advised)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -228,13 +227,15 @@ def _parser() -> argparse.ArgumentParser:
         "taxeld-hil accept can:can0 --layout skin.json",
     )
     commands = command_line.commands_of(parser)
-    add = partial(command_line.documented, commands)
-    _of_run(add(_run))
-    _of_accept(add(_accept))
-    _of_expect(add(_expect))
-    _of_matrix(add(_matrix))
-    _of_soak(add(_soak))
-    _of_emulate(add(_emulate))
+    for run, add_options in (
+        (_run, _of_run),
+        (_accept, _of_accept),
+        (_expect, _of_expect),
+        (_matrix, _of_matrix),
+        (_soak, _of_soak),
+        (_emulate, _of_emulate),
+    ):
+        add_options(command_line.documented(commands, run))
     return parser
 
 
@@ -259,24 +260,22 @@ def _of_run(made: argparse.ArgumentParser) -> None:
 
 def _of_accept(made: argparse.ArgumentParser) -> None:
     add = made.add_argument
-    about = "can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …"
-    add("target", metavar="TARGET", help=about)
+    add("target", metavar="TARGET", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …")
     add("--layout", required=True, help="the layout of this skin, as skin.layout")
     add("--out", type=Path, help="directory for the report")
     about = "seconds to listen while nothing touches the skin"
     add("--seconds", type=float, default=15.0, help=about)
     add("--press", action="store_true", help="then ask for a press on each module")
     add("--period-ms", type=int, default=50, help="milliseconds between scans")
-    counts, about = SkinConfig().full_scale_counts, "as skin.full_scale_counts"
-    add("--full-scale-counts", type=float, default=counts, help=about)
+    counts = SkinConfig().full_scale_counts
+    add("--full-scale-counts", type=float, default=counts, help="as skin.full_scale_counts")
 
 
 def _of_expect(made: argparse.ArgumentParser) -> None:
     add = made.add_argument
     about = "a bundle (box, drill, mug, a path), a YCB id or a mesh file"
     add("--object", required=True, help=about)
-    about = "as skin.layout; default: what a bundle was built for"
-    add("--layout", default="", help=about)
+    add("--layout", default="", help="as skin.layout; default: what a bundle was built for")
     add("--foam", default="typical", help=f"default: typical; {', '.join(FOAMS)}")
     about = "the robot's error in x and in y, sd, drawn for each touch (default %(default)s)"
     add("--robot-mm", type=float, default=1.0, metavar="SD", help=about)
@@ -316,7 +315,7 @@ def _of_soak(made: argparse.ArgumentParser) -> None:
 def _of_emulate(made: argparse.ArgumentParser) -> None:
     add = made.add_argument
     _add_scenario(made)
-    made.set_defaults(foam="", layout=())
+    made.set_defaults(foam="", advised=False)
     where = made.add_mutually_exclusive_group(required=True).add_argument
     where("--link", type=Path, help="path that will be a link to the virtual SLCAN adapter")
     where("--can", metavar="INTERFACE", help="CAN interface of this machine, such as vcan0")

@@ -35,6 +35,6 @@ def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path
     scenario = ran[0].parent / "short.toml"
     assert lines[-3:] == [
         f"see it: taxeld view {ran[0]}",
-        f"draw it: taxeld-hil run {scenario} --seed 0 --clock fake --png short.png",
+        f"draw it: taxeld-hil run {scenario} --clock fake --png short.png",
         "next: taxeld init robot.toml --source can:can0 --bundle box",
     ]

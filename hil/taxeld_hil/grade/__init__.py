@@ -1,4 +1,1 @@
-"""The grade of a session: estimates against the truth, flags in time, counters against the ledger.
-
-It uses what the daemon publishes, and nothing of its inside.
-"""
+"""The grade of a session, by what the daemon publishes, and nothing of its inside."""

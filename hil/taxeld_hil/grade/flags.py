@@ -6,8 +6,7 @@ wrong poses at right times.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from taxeld.pipeline import poses, stage
 from taxeld.pipeline.freshness import Why
 from taxeld_hil.grade.session import Health, Reception, Run
 from taxeld_hil.rig.rig import SETTLE_S
-from taxeld_hil.scenario.scenario import Fault, Scenario
+from taxeld_hil.scenario.scenario import Fault
 
 HEALTH_S = 1.5  # /taxeld/health comes once a second
 STALE_S = stage.SCAN_AGE_S + 0.15  # with a scan's period, and a tick
@@ -42,8 +41,7 @@ STOPPING = (
 BROKEN = ("source.crc_errors", "source.length_errors", "source.dropped.orphan")
 
 
-@dataclass(frozen=True, slots=True)
-class Flag:
+class Flag(NamedTuple):
     """Signs of a fault; one of them is enough."""
 
     within_s: float
@@ -57,19 +55,6 @@ class Flag:
         names = [f"status {status.name}" for status in self.status]
         names += ["no estimates"] * self.silence
         return ", ".join([*names, *self.counters, *filter(None, [self.taxels])])
-
-
-@dataclass(frozen=True, slots=True)
-class FaultSigns:
-    """What was seen of a fault."""
-
-    fault: Fault
-    flag: Flag | None
-    injected: bool
-    detected_s: float | None  # after its beginning
-    recovered_s: float | None  # after its end, to a usable estimate that no stop follows
-    doubted: bool = False  # at the end of its time the status was INCONSISTENT or BLIND
-    overlapped: bool = False  # another fault was not over, or began before the recovery
 
 
 STALE, DOUBT = (Status.STALE,), (Status.INCONSISTENT,)
@@ -127,14 +112,18 @@ def grew(flag: Flag, before: Health, now: Health) -> bool:
     return any(value(now, name) > value(base, name) for name in flag.counters)
 
 
-def signs(run: Run, got: Reception) -> list[FaultSigns]:
-    """What was seen of each fault that began, in the order of their beginning."""
+def signs(run: Run, got: Reception) -> list[dict[str, Any]]:
+    """What was seen of each fault that began, in the order of their beginning: its flag, and
+    whether it was `injected`; when it was `detected_s` after its beginning, and `recovered_s` after
+    its end, to a usable estimate that no stop follows; whether at the end of its time the daemon
+    `doubted` the object; and whether it was `overlapped`: another fault was not over, or began
+    before the recovery."""
     faults = zip(run.scenario.fault, run.taxels, strict=True)
     begun = sorted(faults, key=lambda pair: pair[0].at_s)
     return [_signs(run, got, *pair) for pair in begun if pair[0].at_s <= run.end_s]
 
 
-def _signs(run: Run, got: Reception, fault: Fault, taxels: Sequence[int]) -> FaultSigns:
+def _signs(run: Run, got: Reception, fault: Fault, taxels: Sequence[int]) -> dict[str, Any]:
     scenario, e, t = run.scenario, got.estimates, got.estimates.at
     flag = flag_of(fault, scenario.transport)
     # the time to recover ends at the latest when another fault begins
@@ -158,42 +147,35 @@ def _signs(run: Run, got: Reception, fault: Fault, taxels: Sequence[int]) -> Fau
     back = [at for at, kind in got.returns if kind == fault.kind and fault.end_s < at < close_s][:1]
     back += [at for at, in_list in listed if in_list and at > fault.end_s][-1:]
     is_back = usable and (back or fault.kind != "subscriber_dead")
-    overlapped = _is_overlapped(fault, scenario)
-    before = e.status[t < close_s][-1:]
-    return FaultSigns(
-        fault,
-        flag,
-        fault.kind not in run.not_injected,
-        min(shown) - fault.at_s if shown else None,
-        max(usable + back) - fault.end_s if is_back and not overlapped else None,
-        bool(not usable and np.isin(before, DOUBTS).any()),
-        overlapped or (not usable and close_s < fault.end_s + window_s),
-    )
+    stops = (other for other in scenario.fault if other.kind in STOPPING)
+    overlapped = any(other.at_s < fault.end_s < other.end_s for other in stops)
+    return {
+        "kind": fault.kind,
+        "at_s": fault.at_s,
+        "for_s": fault.for_s,
+        "flag": flag.text if flag else None,
+        "within_s": flag.within_s if flag else None,
+        "injected": fault.kind not in run.not_injected,
+        "detected_s": min(shown) - fault.at_s if shown else None,
+        "recovered_s": max(usable + back) - fault.end_s if is_back and not overlapped else None,
+        "doubted": bool(not usable and np.isin(e.status[t < close_s][-1:], DOUBTS).any()),
+        "overlapped": overlapped or (not usable and close_s < fault.end_s + window_s),
+    }
 
 
 def _listed(
     flag: Flag | None, fault: Fault, taxels: Iterable[int], got: Reception, close_s: float
 ) -> Iterator[tuple[float, bool]]:
     """The times of those messages of health that show a fault, and whether they list its taxels."""
-    if flag is None:
-        return
-    earlier = [health for at, health in got.health if at < fault.at_s]
-    before = _of_link(earlier[-1], fault.link) if earlier else {}
-    for at, whole in got.health:
-        if fault.at_s <= at < close_s:
-            health = _of_link(whole, fault.link)
+    before: Health = {}
+    for at, whole in got.health if flag else ():
+        health = whole
+        if fault.link:
+            of_link = [*whole["links"].values()][fault.link]
+            health = {"uptime_s": whole["uptime_s"], **of_link}
+        if at < fault.at_s:
+            before = health
+        elif flag and at < close_s:
             listed = bool(flag.taxels) and set(taxels) <= set(health.get(flag.taxels, ()))
             if listed or grew(flag, before, health):
                 yield at, listed
-
-
-def _of_link(health: Health, link: int) -> Health:
-    if not link:
-        return health
-    return {"uptime_s": health["uptime_s"], **[*health["links"].values()][link]}
-
-
-def _is_overlapped(fault: Fault, scenario: Scenario) -> bool:
-    """Whether another fault that stops the estimates is on when this one ends."""
-    others = (other for other in scenario.fault if other.kind in STOPPING)
-    return any(other.at_s < fault.end_s < other.end_s for other in others)

@@ -5,9 +5,9 @@ It is read from the session's files alone, whatever run has made them.
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from taxeld.source.session import truth as true_pose
 from taxeld.stream.messages import STAGES
 from taxeld_hil import integrity
 from taxeld_hil.grade import session
-from taxeld_hil.grade.flags import FaultSigns, signs
-from taxeld_hil.grade.reconcile import Law, laws
+from taxeld_hil.grade.flags import signs
+from taxeld_hil.grade.reconcile import laws
 from taxeld_hil.grade.session import POSE, Reception, Run
 from taxeld_hil.scenario.scenario import Expect
 from taxeld_hil.world.world import load_model
@@ -33,13 +33,15 @@ MARKS = {True: "ok  ", False: "FAIL", None: "-   "}
 UNKNOWN = "not graded: the true pose is not known"
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
+class Check(NamedTuple):
     """One thing that was expected."""
 
     name: str
     passed: bool | None  # None: it could not be checked
     detail: str
+
+    def __str__(self) -> str:
+        return f"{MARKS[self.passed]}  {self.name}: {self.detail}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,19 +53,19 @@ class Grade:
     figures: dict[str, Any]
 
     @property
-    def passed(self) -> bool:
-        return all(check.passed is not False for check in self.checks)
-
-    @property
     def failed(self) -> list[str]:
         """The names of the checks that failed."""
         return [check.name for check in self.checks if check.passed is False]
+
+    @property
+    def passed(self) -> bool:
+        return not self.failed
 
     def write(self, directory: Path) -> None:
         """Write grade.json."""
         run = {name: getattr(self.run, name) for name in ("seed", "target", "clock")}
         about = {"scenario": self.run.name, **run, "transport": self.run.scenario.transport}
-        checks = [asdict(check) for check in self.checks]
+        checks = [check._asdict() for check in self.checks]
         made = {**about, "passed": self.passed, "checks": checks, **self.figures}
         (directory / GRADE).write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
 
@@ -76,41 +78,40 @@ def grade(directory: Path) -> Grade:
     """
     run = session.read_run(directory)
     got, truth = session.read(directory, run.scenario.links), true_pose(directory)
-    scene = load_model(run.scenario.of_link(0)).scene
-    faults, figures = signs(run, got), _figures(got)
-    figures["error_mm"] = None
+    figures = _figures(got)
     if truth is not None:
+        scene = load_model(run.scenario.of_link(0)).scene
         figures |= _truth(run, got, scene, truth)
     health = got.health[-1][1] if got.health else {}
     line = run.scenario.transport == "native"
     held = [] if run.ledger is None else laws(run.ledger, health, line=line)
+    figures["faults"] = signs(run, got)
+    figures["laws"] = [{**law._asdict(), "holds": law.holds} for law in held]
+    figures["ledger"] = run.ledger or {}
     checks = [
         *_found(run, got, figures["error_mm"], truth is None),
         _misleading(figures),
-        *(check for each in faults for check in _of_fault(each, run.scenario.expect)),
-        *_accounts(run, held),
+        *(check for each in figures["faults"] for check in _of_fault(each, run.scenario.expect)),
+        *(Check(f"accounts: {law.name}", law.holds, law.text) for law in held),
     ]
-    figures["faults"] = [_fault_row(each) for each in faults]
-    figures["laws"] = [{**law._asdict(), "holds": law.holds} for law in held]
-    figures["ledger"] = run.ledger or {}
+    if run.ledger is None:
+        checks.append(Check("accounts", None, "not graded: only a virtual skin keeps a ledger"))
     return Grade(run, tuple(checks), figures)
 
 
 def _figures(got: Reception) -> dict[str, Any]:
     """What needs no truth."""
     e = got.estimates
-    unsure = np.flatnonzero(e.status != Status.CONVERGED)
-    sure_since = e.contacts[unsure[-1] + 1 if len(unsure) else 0 :][:1]
     first = e[(e.t != 0.0) & (np.diff(e.t, prepend=0.0) != 0.0)]  # of each scan
     ticks = e[e.skin > 0.0]
     return {
         "status": Status(e.status[-1]).name.lower() if len(e) else "none",
         "contacts": int(e.contacts[-1:].sum()),
-        "sure_after": int(sure_since.sum()),  # contacts, from when on it was sure
         "estimates": len(e),
         "valid": int((e.why == Why.VALID).sum()),
         "age_ms": _percentiles(1e-3 * first.age_us),
         "latency_ms": {stage: _percentiles(1e-3 * ticks[stage]) for stage in STAGES},
+        "error_mm": None,
     }
 
 
@@ -143,11 +144,8 @@ def _truth(run: Run, got: Reception, scene: Scene, truth: Poses) -> dict[str, An
 
 
 def _percentiles(values: Floats) -> dict[str, float]:
-    if not len(values):
-        return dict.fromkeys(PERCENTILES, 0.0)
-    return dict(
-        zip(PERCENTILES, np.percentile(values, [*PERCENTILES.values()]).tolist(), strict=True)
-    )
+    found = np.percentile(values if len(values) else [0.0], [*PERCENTILES.values()])
+    return dict(zip(PERCENTILES, found.tolist(), strict=True))
 
 
 def _found(run: Run, got: Reception, error_mm: float | None, is_unknown: bool) -> Iterator[Check]:
@@ -183,44 +181,25 @@ def _misleading(figures: dict[str, Any]) -> Check:
     return Check("nothing misleading", not number, text)
 
 
-def _of_fault(seen: FaultSigns, expect: Expect) -> Iterator[Check]:
-    fault, flag = seen.fault, seen.flag
-    name = f"{fault.kind} at {fault.at_s:g} s"
-    if not seen.injected:
+def _of_fault(seen: dict[str, Any], expect: Expect) -> Iterator[Check]:
+    name = f"{seen['kind']} at {seen['at_s']:g} s"
+    if not seen["injected"]:
         yield Check(f"{name}: flag", None, "not injected: not possible on this target")
         return
-    if flag is not None:
-        when, soon = seen.detected_s, flag.within_s
+    if seen["flag"] is not None:
+        when, soon = seen["detected_s"], seen["within_s"]
         text = "never" if when is None else f"after {when:.2f} s"
-        in_time = when is not None and when <= soon
-        yield Check(f"{name}: flag", in_time, f"{text}, within {soon:g} s is asked: {flag.text}")
-    name = f"{name}: recovery"
-    if seen.recovered_s is not None:
-        good = seen.recovered_s <= expect.recovery_s
-        asked = f"within {expect.recovery_s:g} s is asked"
-        yield Check(name, good, f"{seen.recovered_s:.2f} s after its end, {asked}")
-    elif seen.overlapped:
+        text += f", within {soon:g} s is asked: {seen['flag']}"
+        yield Check(f"{name}: flag", when is not None and when <= soon, text)
+    name, when = f"{name}: recovery", seen["recovered_s"]
+    if when is not None:
+        text = f"{when:.2f} s after its end, within {expect.recovery_s:g} s is asked"
+        yield Check(name, when <= expect.recovery_s, text)
+    elif seen["overlapped"]:
         yield Check(name, None, "not graded: another fault was on, or began before")
     else:
-        why = ": inconsistent or blind" if seen.doubted else ""
+        why = ": inconsistent or blind" if seen["doubted"] else ""
         yield Check(name, False, f"no usable estimate in time{why}")
-
-
-def _fault_row(seen: FaultSigns) -> dict[str, Any]:
-    fault, flag = seen.fault, seen.flag
-    of_fault = {name: getattr(fault, name) for name in ("kind", "at_s", "for_s")}
-    names = ("injected", "detected_s", "recovered_s", "doubted", "overlapped")
-    of_flag = {"flag": flag.text if flag else None, "within_s": flag.within_s if flag else None}
-    return of_fault | of_flag | {name: getattr(seen, name) for name in names}
-
-
-def _accounts(run: Run, held: list[Law]) -> Iterator[Check]:
-    if run.ledger is None:
-        yield Check("accounts", None, "not graded: only a virtual skin keeps a ledger")
-    for law in held:
-        text = f"{law.counted} counted, {law.expected} expected"
-        slack = f" ± {law.slack}" if law.slack else ""
-        yield Check(f"accounts: {law.name}", law.holds, text + slack)
 
 
 def lines(graded: Grade) -> Iterator[str]:
@@ -234,27 +213,17 @@ def lines(graded: Grade) -> Iterator[str]:
         yield f"final error {error_mm:.1f} mm (mean distance of its points, up to its symmetry)"
     elif "sure" in figures:
         yield "final error unknown: the last estimate is not valid"
-    if run.scenario.advised:
-        after = figures["sure_after"]
-        yield f"advised: sure after {after} contacts" if after else "advised: not sure"
     where = f"on {run.target} over {run.scenario.transport}, {run.clock} clock"
     yield f"{run.name}, seed {run.seed}, {where}"
     held = [check for check in graded.checks if check.name.startswith("accounts: ")]
-    for check in graded.checks:
-        if check not in held or not check.passed:
-            yield _line(check)
+    yield from (str(check) for check in graded.checks if check not in held or not check.passed)
     if held and all(check.passed for check in held):
         sent = figures["ledger"]["fates"]["units"]
-        yield _line(Check("accounts", True, f"{len(held)} laws hold over {sent} frames"))
-    age_ms = ", ".join(f"{key} {value:.2f}" for key, value in figures["age_ms"].items())
+        yield str(Check("accounts", True, f"{len(held)} laws hold over {sent} frames"))
     if run.clock == "real":
+        age_ms = ", ".join(f"{key} {value:.2f}" for key, value in figures["age_ms"].items())
         yield f"      scan to estimate [ms]: {age_ms}"
-    done = figures["ledger"].get("done", {})
-    if done:
+    if done := figures["ledger"].get("done", {}):
         yield "      injected: " + ", ".join(f"{kind} {n}" for kind, n in done.items())
     failed = len(graded.failed)
     yield "passed" if graded.passed else f"failed: {failed} of {len(graded.checks)} checks"
-
-
-def _line(check: Check) -> str:
-    return f"{MARKS[check.passed]}  {check.name}: {check.detail}"

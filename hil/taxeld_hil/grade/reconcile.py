@@ -23,6 +23,11 @@ class Law(NamedTuple):
     def holds(self) -> bool:
         return abs(self.expected - self.counted) <= self.slack
 
+    @property
+    def text(self) -> str:
+        slack = f" ± {self.slack}" if self.slack else ""
+        return f"{self.counted} counted, {self.expected} expected{slack}"
+
 
 def laws(ledger: Mapping[str, Any], health: Health, *, line: bool) -> list[Law]:
     """Laws for the host that listens, when nothing is in transit any more; `ledger` as its

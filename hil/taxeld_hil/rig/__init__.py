@@ -1,4 +1,1 @@
-"""The virtual hub on its wire: frames, faults in them, and the ledger of all that was sent.
-
-What the daemon makes of them is graded elsewhere.
-"""
+"""The virtual hub on its wire: frames, faults in them, and the ledger of all that was sent."""

@@ -1,4 +1,1 @@
-"""A run's definition: the scenario's TOML file, and the daemon's configuration that follows.
-
-Nothing is simulated here.
-"""
+"""A run's definition: the scenario's file, and the daemon's configuration that follows."""
