@@ -14,7 +14,7 @@ import numpy as np
 
 from taxeld.arrays import Floats
 from taxeld_protocol.cyskin import Command
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module, wired
 from tests.rig.virtual_hub import VirtualHub
 
@@ -79,7 +79,7 @@ class DamagingHub(VirtualHub):
     damage_every = 0
     _packets = 0
 
-    def items(self, command: int, payload: bytes) -> Sequence[Frame | bytes]:
+    def items(self, command: int, payload: bytes) -> Sequence[Frame | Chunk]:
         items = super().items(command, payload)
         if command == Command.SENSOR_DATA:
             self._packets += 1

@@ -11,7 +11,6 @@ import zmq
 from taxeld.errors import SetupError
 from taxeld.stream.topics import SENSOR_POSE
 from taxeld_hil.rig.bench import Bench
-from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort, NativePort
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario import scenario
@@ -131,7 +130,7 @@ def test_arrays_come_from_the_first_listener_on_until_the_last_has_left(
     host = sockets.subscriber(endpoint)
     assert requests() == 1
     assert rig.hub.auto_sync, "the skin is started"
-    assert port.send(WireUnit(frame, None))
+    assert port.send(frame)
     assert array.parse(array.read_json(host.recv())) == frame
     other = sockets.subscriber(endpoint, b"/skin")
     assert requests() == 0

@@ -4,11 +4,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Self
 
-from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import NativePort, SlcanPort
 from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.cyskin import ALL_MODULES, BROADCAST, Command, Packet
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 
@@ -96,11 +95,12 @@ class VirtualHub:
     def send(self, answers: Iterable[Answer]) -> None:
         for command, payload in answers:
             for item in self.items(command, payload):
-                if self.port.is_open and self.port.send(WireUnit(item, None)):
-                    self.written += len(item if isinstance(item, bytes) else slcan.encode(item))
+                if self.port.is_open and self.port.send(item):
+                    is_line = isinstance(item, Chunk)
+                    self.written += len(item.data if is_line else slcan.encode(item))
 
-    def items(self, command: int, payload: bytes) -> Sequence[Frame | bytes]:
+    def items(self, command: int, payload: bytes) -> Sequence[Frame | Chunk]:
         """A packet as it goes over the wire."""
         if self.native:
-            return [serial_link.encode(command, payload, ihb=self.ihb.short_id)]
+            return [Chunk(0.0, serial_link.encode(command, payload, ihb=self.ihb.short_id))]
         return cyskin.to_frames(command, payload, ihb=self.ihb.short_id, t=0.0)

@@ -13,7 +13,6 @@ from taxeld.stream import topics
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort, CanPort, Feed, NativePort, Port, SlcanPort
 from taxeld_hil.rig.rig import BEFORE_S, Rig
-from taxeld_protocol.frames import Chunk
 
 
 class Bench:
@@ -90,16 +89,11 @@ class Bench:
     def _send(self, units: list[WireUnit], wall: float) -> None:
         ledger = self.rig.ledger
         for unit in units:
-            item = unit.item
-            if isinstance(item, bytes):
-                self._record(Chunk(wall, item))
-            else:
-                item = item._replace(t=wall)
-                unit = unit._replace(item=item)  # noqa: PLW2901
-                self._record(item)
+            item = unit.at(wall)
+            self._record(item)
             if not self.port.is_open:
                 continue
-            if self.port.send(unit):
+            if self.port.send(item):
                 ledger.deliver(unit, time.monotonic())
             else:
                 ledger.refused += 1

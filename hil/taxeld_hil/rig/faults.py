@@ -5,7 +5,7 @@ time get the same faults. The ledger counts all that it does.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,22 +19,6 @@ FOREIGN_IDS = (0x000, 0x300, 0x600, 0x700)  # assembly bits that are no fragment
 COUNT_MAX = 0xFFFF
 PoseRow = tuple[float, float, float, float]  # t, x, y, θ
 T = TypeVar("T")
-
-
-class Delayed(Generic[T]):
-    """What comes later than it was sent."""
-
-    def __init__(self) -> None:
-        self._waiting: list[tuple[float, T]] = []
-
-    def add(self, due_s: float, item: T) -> None:
-        self._waiting.append((due_s, item))
-
-    def ready(self, t: float) -> list[T]:
-        """What is due, in the order of its times."""
-        ready = sorted((each for each in self._waiting if each[0] <= t), key=lambda each: each[0])
-        self._waiting = [each for each in self._waiting if each[0] > t]
-        return [item for _, item in ready]
 
 
 class Injector:
@@ -53,7 +37,8 @@ class Injector:
         self._rng = np.random.default_rng([seed, 1])
         self._done = ledger.done
         self._modules, self._taxels = modules, taxels
-        self._late, self._late_poses = Delayed[WireUnit](), Delayed[PoseRow]()
+        # with the times when they are due
+        self._late, self._late_poses = list[tuple[float, WireUnit]](), list[tuple[float, PoseRow]]()
         self._swapped: WireUnit | None = None
         self._stuck: dict[int, int] = {}
         self._frozen: PoseRow | None = None
@@ -94,7 +79,7 @@ class Injector:
         if self._hits("corrupted", t):
             unit = self._damaged(unit)
         if fault := self._hits("late", t):
-            self._late.add(t + fault.delay_s, unit)
+            self._late.append((t + fault.delay_s, unit))
             return []
         if self._swapped is None and self._hits("reordered", t):
             self._swapped = unit
@@ -107,7 +92,7 @@ class Injector:
 
     def due(self, t: float, *, line: bool) -> list[WireUnit]:
         """Late units whose time has come, and what floods the bus (or the `line`) meanwhile."""
-        out, fault = self._late.ready(t), self.fault("flooded", t)
+        out, fault = _ready(self._late, t), self.fault("flooded", t)
         if fault is None:
             self._flooded_s = None
             return out
@@ -119,7 +104,7 @@ class Injector:
 
     def flush(self) -> list[WireUnit]:
         """All that is held back, at the end of a run, or as the device is gone."""
-        out = self._late.ready(np.inf) + ([] if self._swapped is None else [self._swapped])
+        out = _ready(self._late, np.inf) + ([] if self._swapped is None else [self._swapped])
         self._swapped = None
         return out
 
@@ -134,9 +119,9 @@ class Injector:
             row = (row[0], row[1] + fault.offset_m, row[2], row[3])
         out = [] if self._acts("pose_silent", t) else [row]
         if out and (fault := self._acts("pose_late", t)):
-            self._late_poses.add(t + fault.delay_s, row)
+            self._late_poses.append((t + fault.delay_s, row))
             out = []
-        return self._late_poses.ready(t) + out
+        return _ready(self._late_poses, t) + out
 
     def _acts(self, kind: str, t: float) -> Fault | None:
         fault = self.fault(kind, t)
@@ -176,3 +161,10 @@ class Injector:
             return WireUnit(b"\xff" + data.replace(b"\0", b"\1") + DELIMITER, None)
         can_id = FOREIGN_IDS[int(self._rng.integers(4))] | int(self._rng.integers(0x100))
         return WireUnit(Frame(t, can_id, data), None)
+
+
+def _ready(waiting: list[tuple[float, T]], t: float) -> list[T]:
+    """Take what is due, in the order of its times."""
+    ready = sorted((each for each in waiting if each[0] <= t), key=lambda each: each[0])
+    waiting[:] = [each for each in waiting if each[0] > t]
+    return [item for _, item in ready]

@@ -6,14 +6,15 @@ never there. The daemon's counters must agree with it (`reconcile`), to the last
 
 import math
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from itertools import accumulate
 from typing import Any, NamedTuple
 
+from taxeld.source.session import Item
 from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import EXCESS_MAX, MAX_FRAGMENTS, Command, crc8
 from taxeld_protocol.decoder import GAP_SHARE, MISSED_SHARE, PAUSE_MAX_S
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 
 
 class Sent(NamedTuple):
@@ -33,6 +34,10 @@ class WireUnit(NamedTuple):
     item: Frame | bytes | ArrayFrame
     sent: Sent | None  # None: nothing of the skin's
     part: int = 0  # number of the fragment
+
+    def at(self, t: float) -> Item:
+        """As it goes to the host, and into a recording, at time t."""
+        return Chunk(t, self.item) if isinstance(self.item, bytes) else self.item._replace(t=t)
 
 
 @dataclass(slots=True)
@@ -56,43 +61,34 @@ class Fates:
     missed: int = 0
 
 
-@dataclass(slots=True)
 class Ledger:
     """Counts of all that was sent in one run; `fates` begin anew with each host."""
 
-    modules: tuple[int, ...]  # channels of each
-    period_s: float  # infinite where it is not known when the host reads
-    fates: Fates = field(default_factory=Fates)
-    done: Counter[str] = field(default_factory=Counter)  # acts of the injector, by kind of fault
-    poses_sent: int = 0
-    poses_heard: int = 0  # poses that this host heard
-    refused: int = 0  # units that the host did not make room for
-    hosts: int = 1
-    _open: list[WireUnit] = field(default_factory=list)
-    _first: list[int] = field(default_factory=list)
-    _channels: int = 0
-    _declared: bool = False
-    _reached: int = 0
-    _filled: int = 0
-    _t: float | None = None  # time of the last scan's first packet [s]
-    _last_t: float = 0.0  # time of the last packet [s]
+    def __init__(self, modules: tuple[int, ...], period_s: float) -> None:
+        """`modules`: channels of each; `period_s` is infinite where it is not known when the host
+        reads."""
+        self.modules, self.period_s = modules, period_s
+        self._first = [0, *accumulate(modules)]
+        self.done = Counter[str]()  # acts of the injector, by kind of fault
+        self.poses_sent = 0
+        self.refused = 0  # units that the host did not make room for
+        self.hosts = 0
+        self._last_t = 0.0  # time of the last packet [s]
+        self.begin()
 
-    def __post_init__(self) -> None:
-        self._first = [0, *accumulate(self.modules)]
-        self._channels = self._first[-1]
+    def begin(self) -> None:
+        """A host listens from now on."""
+        self.hosts += 1
+        self.fates = Fates()
+        self.poses_heard = 0
+        self._open, self._declared = list[WireUnit](), False
+        self._reached = self._filled = 0  # channels of the scan that has begun
+        self._t: float | None = None  # time of the last scan's first packet [s]
 
     @property
     def knows_pauses(self) -> bool:
         """Whether it divides scans where the host does: at pauses between the packets it reads."""
         return math.isfinite(self.period_s)
-
-    def begin(self) -> None:
-        """Another host listens from now on."""
-        self.fates = Fates()
-        self.poses_heard = 0
-        self.hosts += 1
-        self._open, self._declared, self._t = [], False, None
-        self._reached = self._filled = 0
 
     def deliver(self, unit: WireUnit, t: float) -> None:
         """The host was handed this at time t."""
@@ -173,7 +169,7 @@ class Ledger:
                 self.fates.index_errors += 1
                 return
             start = self._first[module] + channel
-            fitting = min(values, self._channels - start)
+            fitting = min(values, self._first[-1] - start)
             self.fates.index_errors += fitting < values
             self._scan(Sent(packet, packet[0], 1, start, fitting), t)
 
@@ -199,11 +195,11 @@ class Ledger:
             self._t = t
         self._reached = sent.start + sent.values
         self._filled += sent.values
-        if self._reached == self._channels:
+        if self._reached == self._first[-1]:
             self._end()
 
     def _end(self) -> None:
         if self._filled:
             self.fates.scans += 1
-            self.fates.incomplete += self._filled < self._channels
+            self.fates.incomplete += self._filled < self._first[-1]
         self._reached = self._filled = 0

@@ -1,7 +1,7 @@
 """The device end of a transport: an SLCAN adapter or a native serial link on a pseudo-terminal that
 can be pulled out, a hub on a CAN interface of this machine's kernel, or arrays that are published.
 
-Units are handed over whole: where there is no room for one, it is refused and never cut.
+Frames, lines and arrays are handed over whole: where there is no room, they are refused, never cut.
 """
 
 import contextlib
@@ -22,16 +22,17 @@ import zmq
 from taxeld.door.binding import bound
 from taxeld.errors import SetupError
 from taxeld_hil.rig.adapters import Adapter
-from taxeld_hil.rig.ledger import WireUnit
 from taxeld_protocol import slcan
 from taxeld_protocol.array import ArrayFrame, line_of
 from taxeld_protocol.cyskin import BROADCAST, Command, Packet
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import HubLink
 
 READ_BYTES = 65536
 OUTBOX_BYTES = 65536  # beyond what the kernel takes: some tenths of a second of a saturated bus
+
+OnFrame = Callable[[Frame], None]  # called with each frame of the host's
 
 
 class Port:
@@ -44,8 +45,8 @@ class Port:
         """The host's requests that have come; `t` stamps their frames."""
         raise NotImplementedError
 
-    def send(self, unit: WireUnit) -> bool:
-        """Hand a unit to the host; False: there was no room."""
+    def send(self, item: Any) -> bool:
+        """Hand a frame, a line (as a Chunk) or an array to the host; False: there was no room."""
         raise NotImplementedError
 
     def flush(self) -> None:
@@ -71,7 +72,7 @@ class Terminal(Port):
     def __init__(self, link: Path) -> None:
         """Raises SetupError where the name cannot be had."""
         self._link = link
-        self._fds: tuple[int, int] | None = None
+        self._fds: tuple[int, ...] = ()  # the master's and the slave's
         self._outbox = bytearray()
         self.set_plugged(True)
 
@@ -80,12 +81,11 @@ class Terminal(Port):
 
     @property
     def slave(self) -> int:
-        """The host's end, as something else than the host has it open."""
-        assert self._fds is not None  # noqa: S101  (asked of a device that is plugged in)
+        """The host's end of a device that is plugged in, as something else has it open."""
         return self._fds[1]
 
     def set_plugged(self, plugged: bool) -> None:
-        if plugged and self._fds is None:
+        if plugged and not self._fds:
             master, slave = self._fds = os.openpty()
             tty.setraw(slave)
             os.set_blocking(master, False)
@@ -94,7 +94,7 @@ class Terminal(Port):
             except OSError as error:
                 self._free()
                 raise SetupError(f"{self._link}: cannot be made ({error.strerror})") from None
-        elif not plugged and self._fds is not None:
+        elif not plugged and self._fds:
             is_read = not self.waiting() and not self._outbox
             if is_read or not self.is_open:
                 self.close()
@@ -117,20 +117,20 @@ class Terminal(Port):
         self._outbox.clear()
 
     def flush(self) -> None:
-        if self._fds is not None and self._outbox:
+        if self._fds and self._outbox:
             with contextlib.suppress(BlockingIOError):
                 del self._outbox[: os.write(self._fds[0], self._outbox)]
 
     def close(self) -> None:
-        if self._fds is not None:
+        if self._fds:
             self._link.unlink()
             self._free()
             self.forget()
 
     def _free(self) -> None:
-        for fd in self._fds or ():
+        for fd in self._fds:
             os.close(fd)
-        self._fds = None
+        self._fds = ()
 
     def _write(self, data: bytes) -> bool:
         if len(self._outbox) + len(data) > OUTBOX_BYTES:
@@ -140,7 +140,7 @@ class Terminal(Port):
         return True
 
     def _read(self) -> bytes:
-        if self._fds is None:
+        if not self._fds:
             return b""
         try:
             return os.read(self._fds[0], READ_BYTES)
@@ -153,13 +153,11 @@ class Terminal(Port):
 class SlcanPort(Terminal):
     """A USB-CAN adapter with the hub on its bus."""
 
-    def __init__(self, link: Path, on_frame: Callable[[Frame], None], kind: str = "plain") -> None:
-        """`on_frame` is called with each frame of the host's; `kind`: of `adapters.KINDS`."""
+    def __init__(self, link: Path, on_frame: OnFrame, kind: str = "plain") -> None:
+        """`kind`: of `adapters.KINDS`."""
         self.adapter = Adapter(kind)
-        self._rest = b""
-        self._requests = HubLink()
-        self._on_frame = on_frame
-        self._has_host = False
+        self._rest, self._has_host = b"", False
+        self._requests, self._on_frame = HubLink(), on_frame
         super().__init__(link)
 
     def take(self, t: float) -> list[Packet]:
@@ -175,8 +173,8 @@ class SlcanPort(Terminal):
         self.is_open = self._has_host and self.adapter.on_bus
         return [packet for packet in packets if packet is not None]
 
-    def send(self, unit: WireUnit) -> bool:
-        return isinstance(unit.item, Frame) and self._write(self.adapter.bus(unit.item))
+    def send(self, item: Frame) -> bool:
+        return self._write(self.adapter.bus(item))
 
     def forget(self) -> None:
         """… and has left the adapter as it was."""
@@ -184,7 +182,7 @@ class SlcanPort(Terminal):
         self._has_host = False
 
     def set_plugged(self, plugged: bool) -> None:
-        if plugged and self._fds is None:
+        if plugged and not self._fds:
             self._rest = b""
             self.adapter.reset()
         super().set_plugged(plugged)
@@ -208,8 +206,8 @@ class NativePort(Terminal):
         self.is_open = self.is_open or bool(packets)
         return packets
 
-    def send(self, unit: WireUnit) -> bool:
-        return isinstance(unit.item, bytes) and self._write(unit.item)
+    def send(self, item: Chunk) -> bool:
+        return self._write(item.data)
 
 
 class Feed(ExitStack):
@@ -252,10 +250,8 @@ class ArrayPort(Port):
         asked = Packet(t, BROADCAST, Command.SET_AUTO_SYNC, bytes([self.is_open]))
         return [asked] if self.is_open != was_open else []
 
-    def send(self, unit: WireUnit) -> bool:
-        if not isinstance(unit.item, ArrayFrame):
-            return False
-        self.feed.send(line_of(unit.item).encode())
+    def send(self, item: ArrayFrame) -> bool:
+        self.feed.send(line_of(item).encode())
         return True
 
     def close(self) -> None:
@@ -265,10 +261,9 @@ class ArrayPort(Port):
 class CanPort(Port):
     """A hub on a CAN interface, such as vcan0, that something else brings up and down."""
 
-    def __init__(self, interface: str, on_frame: Callable[[Frame], None]) -> None:
+    def __init__(self, interface: str, on_frame: OnFrame) -> None:
         """Raises SetupError where there is no such interface."""
-        self._on_frame = on_frame
-        self._requests = HubLink()
+        self._requests, self._on_frame = HubLink(), on_frame
         try:
             self._bus = can.Bus(interface="socketcan", channel=interface)
         except (can.CanError, OSError) as error:
@@ -286,10 +281,8 @@ class CanPort(Port):
         self.is_open = self.is_open or bool(packets)
         return [packet for packet in packets if packet is not None]
 
-    def send(self, unit: WireUnit) -> bool:
-        if not isinstance(unit.item, Frame):
-            return False
-        number, data, extended = unit.item.can_id, unit.item.data, unit.item.extended
+    def send(self, item: Frame) -> bool:
+        number, data, extended = item.can_id, item.data, item.extended
         message = can.Message(arbitration_id=number, data=data, is_extended_id=extended)
         try:
             self._bus.send(message, timeout=0.0)

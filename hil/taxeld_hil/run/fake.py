@@ -54,7 +54,7 @@ class MemoryLine:
         self.t = 0.0  # scenario time [s]
         self.now = 0.0  # the daemon's clock [s]
         self.record: Callable[[Item], None] = lambda _: None  # called with each delivered
-        self._waiting: list[Any] = []  # frames, bytes or arrays
+        self._waiting: list[Any] = []  # frames, chunks or arrays
 
     @property
     def is_plugged(self) -> bool:
@@ -79,20 +79,14 @@ class MemoryLine:
         """Frames, a chunk of bytes or arrays delivered since the last call."""
         came, self._waiting = self._waiting, []
         if came and self.rigs[0].line:
-            return [Chunk(self.now, b"".join(came))]
+            return [Chunk(self.now, b"".join(chunk.data for chunk in came))]
         return came
 
     def _deliver(self, rig: Rig, units: list[WireUnit]) -> None:
         for unit in units:
             rig.ledger.deliver(unit, self.now)
-            item = unit.item
-            if isinstance(item, bytes):
-                self._waiting.append(item)
-                self.record(Chunk(self.now, item))
-            else:
-                item = item._replace(t=self.now)  # a frame that was late arrives now
-                self._waiting.append(item)
-                self.record(item)
+            self._waiting.append(unit.at(self.now))  # a frame that was late arrives now
+            self.record(self._waiting[-1])
 
 
 class MemoryDevice(Device):
