@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -99,6 +101,32 @@ def test_a_worker_that_dies_and_a_memory_that_cannot_be_written_are_refused_in_o
         jobs.run(three(tmp_path)[:1], tmp_path / "memory")
     with pytest.raises(SetupError, match="--workers must be at least 1"):
         jobs.run(dead, tmp_path / "memory", workers=0)
+
+
+LONG = """
+import os, time
+from taxeld_hil import jobs
+
+def work(*_):
+    os.write(1, b"begun ")  # whole, though two write there
+    time.sleep(600)
+
+if __name__ == "__main__":
+    list(jobs.beside(work, None, range(2), 2))
+"""
+
+
+def test_a_killed_command_leaves_no_worker_behind(tmp_path: Path) -> None:
+    """Its output ends once no process is left that could write there."""
+    (tmp_path / "long.py").write_text(LONG, encoding="ascii")
+    command = [sys.executable, str(tmp_path / "long.py")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as long:
+        try:
+            assert long.stdout is not None
+            assert long.stdout.read(12) == b"begun begun "
+        finally:
+            long.kill()
+        assert long.communicate(timeout=120.0)[0] == b""
 
 
 @pytest.mark.filterwarnings("ignore")  # of the cluster's own

@@ -38,6 +38,13 @@ def handle() -> trimesh.Trimesh:
     return mesh
 
 
+def tube(inner_m: float) -> trimesh.Trimesh:
+    """A can without lids, hollow."""
+    mesh = trimesh.creation.annulus(inner_m, 0.05, 0.1, sections=128)
+    mesh.apply_translation([0.0, 0.0, 0.05])
+    return mesh
+
+
 def model_of(skin: Layout) -> ObservationModel:
     """The box on a skin."""
     return ObservationModel(scenes.build(box(), skin, 0.04), skin, 0.005)

@@ -16,7 +16,7 @@ from taxeld_protocol.modules import wired
 
 from .rig import gap_m
 
-TRIALS = 10
+TRIALS = 4
 STEP_M = 0.002  # way of the sensor between two scans
 
 

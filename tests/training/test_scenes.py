@@ -18,7 +18,7 @@ from taxeld_hil.objects import meshes, scenes
 from taxeld_hil.objects.scenes import GridError, grid_error
 from taxeld_training.objects.report import doubts
 
-from .rig import PAPER_RING, THREE_ROWS, box, can, handle
+from .rig import PAPER_RING, THREE_ROWS, box, can, handle, tube
 
 SKIN = layouts.load(THREE_ROWS)
 
@@ -36,13 +36,14 @@ def aside(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         (aside(can(3)), 3),
         (aside(can(6, 0.08)), 6),
         (aside(can()), CONTINUOUS),
+        (trimesh.util.concatenate([can(), handle()]), 1),
     ],
-    ids=["rectangle", "square", "triangle", "hexagon", "can"],
+    ids=["rectangle", "square", "triangle", "hexagon", "can", "can with a handle"],
 )
 def test_the_symmetry_is_found_from_the_geometry(mesh: trimesh.Trimesh, order: int) -> None:
     scene = scenes.build(mesh, SKIN, 0.04)
     assert scene.symmetry == order
-    assert np.allclose(scene.centre, mesh.centroid[:2], atol=1e-3)
+    assert order == 1 or np.allclose(scene.centre, mesh.centroid[:2], atol=1e-3)
 
 
 def test_a_small_object_is_held_to_its_own_size() -> None:
@@ -55,11 +56,6 @@ def test_a_small_object_is_held_to_its_own_size() -> None:
     assert scenes.build(box(0.3, 0.3), thin, 0.05).cell == 0.002
 
 
-def test_a_handle_breaks_the_symmetry() -> None:
-    mesh = trimesh.util.concatenate([can(), handle()])
-    assert scenes.build(mesh, SKIN, 0.04).symmetry == 1
-
-
 def test_an_outline_is_all_parts_that_stand_apart_at_the_heights_of_the_taxels(
     tmp_path: Path,
 ) -> None:
@@ -67,9 +63,11 @@ def test_an_outline_is_all_parts_that_stand_apart_at_the_heights_of_the_taxels(
     place check know of it."""
     grip = box(0.02, 0.02, 0.02)
     grip.apply_translation([0.08, 0.0, 0.04])
-    scene = scenes.build(trimesh.util.concatenate([can(128, 0.03), grip]), SKIN, 0.05)
-    manifest.save_scene(scene, tmp_path / "scene.npz")
+    made = scenes.build(trimesh.util.concatenate([can(128, 0.03), grip]), SKIN, 0.05)
+    manifest.save_scene(made, tmp_path / "scene.npz")
     scene = manifest.parse_scene((tmp_path / "scene.npz").read_bytes(), tmp_path)
+    for name in ("slices", "surface", "symmetry"):
+        assert np.array_equal(getattr(scene, name), getattr(made, name))
     told = messages.info(SKIN, {"kettle": scene}, "")
     for body, island in (scene.outlines, *(one["outlines"] for one in (told, *told["objects"]))):
         assert np.allclose(np.hypot(*np.transpose(body)), 0.03, atol=1e-4)
@@ -92,14 +90,6 @@ def test_the_grid_is_the_distance_to_the_outline() -> None:
     assert np.array_equal(scene.slices[0], scene.silhouette)
 
 
-def test_a_hollow_object_is_filled() -> None:
-    """A skin is pressed from outside: a mug's inside cannot be touched through its wall."""
-    mesh = trimesh.creation.annulus(0.045, 0.05, 0.1)
-    mesh.apply_translation([0.0, 0.0, 0.05])
-    shape = meshes.outline(mesh, 0.05).shape
-    assert np.isclose(shape.area, np.pi * 0.05**2, rtol=0.01)
-
-
 def test_slices_follow_a_cone() -> None:
     cone = trimesh.creation.cone(0.08, 0.1, sections=128)
     scene = scenes.build(cone, SKIN, 0.04)
@@ -116,28 +106,6 @@ def test_a_slice_above_the_object_is_far_and_a_skin_above_all_of_it_is_refused()
         scenes.build(box(0.1, 0.1), SKIN, 0.5)
 
 
-def test_a_scene_survives_its_file(tmp_path: Path) -> None:
-    scene = scenes.build(box(0.06, 0.16), SKIN, 0.04)
-    manifest.save_scene(scene, tmp_path / "scene.npz")
-    again = manifest.parse_scene((tmp_path / "scene.npz").read_bytes(), tmp_path)
-    assert np.array_equal(again.slices, scene.slices)
-    assert again.symmetry == scene.symmetry
-    assert np.array_equal(again.surface, scene.surface)
-
-
-@pytest.mark.parametrize(
-    ("name", "fault"),
-    [
-        ("003_craker_box", "no such YCB object; did you mean .*003_cracker_box"),
-        ("sofa", "no such YCB object; or give a mesh file"),
-        ("/nowhere/mesh.stl", "no such mesh file"),
-    ],
-)
-def test_a_missing_object_is_refused_in_one_line(name: str, fault: str) -> None:
-    with pytest.raises(SetupError, match=fault):
-        meshes.find(name)
-
-
 TEN = {  # as a ring of five rows feels them, 10 to 70 mm above their lowest point
     "002_master_chef_can": CONTINUOUS,
     "003_cracker_box": 2,
@@ -152,6 +120,7 @@ TEN = {  # as a ring of five rows feels them, 10 to 70 mm above their lowest poi
 }
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(("name", "order"), TEN.items())
 def test_the_papers_objects_have_their_symmetry_and_exact_grids(name: str, order: int) -> None:
     skin = layouts.load(PAPER_RING)
@@ -195,7 +164,5 @@ def test_a_grid_that_is_off_moved_or_lost_is_detected() -> None:
 
 def test_walls_that_no_skin_touches_do_not_count() -> None:
     """The grids are filled: neither a wall's inside nor a solid inside another one is an error."""
-    tube = trimesh.creation.annulus(0.047, 0.05, 0.1, sections=128)
-    tube.apply_translation([0.0, 0.0, 0.05])
-    for mesh in (tube, trimesh.util.concatenate([can(), handle()])):
+    for mesh in (tube(0.047), trimesh.util.concatenate([can(), handle()])):
         assert measure(scenes.build(mesh, SKIN, 0.04), mesh).max < 1.0
