@@ -42,6 +42,8 @@ def _run(args: argparse.Namespace) -> int:
     taxeld-hil run everything --clock fake --foam poor
     taxeld-hil run demo --target can:can0 --poses tcp://127.0.0.1:9874 --truth 0.4 0.1 0
     """
+    import numpy as np
+
     from taxeld_hil.grade import grade
     from taxeld_hil.run import live
     from taxeld_hil.run.fake import FakeRun
@@ -56,7 +58,8 @@ def _run(args: argparse.Namespace) -> int:
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     run: live.LiveRun | FakeRun
     if not is_simulated:
-        run = live.LiveRun(scenario, args.target, args.poses, args.truth, _say)
+        truth = None if args.truth is None else np.array(args.truth)
+        run = live.LiveRun(scenario, args.target, args.poses, truth, _say)
     elif args.clock == "fake":
         run = FakeRun(scenario, args.seed)
     else:

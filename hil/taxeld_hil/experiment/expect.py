@@ -140,38 +140,28 @@ def helps(runs: Sequence[RunRow]) -> list[Help]:
     """What each change does, by trials of the same seeds, most helpful first. Shares are those
     after the first touch after which half of the trials are sure without it, or the last."""
     base = {run["seed"]: run for run in runs if run["name"] == AS_IS}
-    if not base:
-        return []
     rows = table(list(base.values()))
     after = next((row.touches for row in rows if row.found_and_sure >= HALF), rows[-1].touches)
     found = []
     for name in dict.fromkeys(run["name"] for run in runs if run["name"] != AS_IS):
         mine = [run for run in runs if run["name"] == name and run["seed"] in base]
-        pairs = [(base[run["seed"]], run) for run in mine]
-        if pairs:
-            found.append(_help(name, after, pairs))
+        pair = claims([base[run["seed"]] for run in mine]), claims(mine)
+        was, became = ((of.found[:, after - 1], of.found_and_sure[:, after - 1]) for of in pair)
+        gain = became[1].astype(float) - was[1]
+        least = CHANCE * math.sqrt((gain.var() + 1.0 / len(gain)) / len(gain))
+        verdict = "no difference seen"
+        if len(gain) < LEAST:
+            verdict = "too few seeds to tell"
+        elif abs(gain.mean()) > least:
+            verdict = "would help" if gain.mean() > 0.0 else "would hurt"
+        shares = [(float(a.mean()), float(b.mean())) for a, b in zip(was, became, strict=True)]
+        found.append(Help(name, len(mine), after, shares[0], shares[1], verdict))
     return sorted(found, key=lambda each: each.found_and_sure[0] - each.found_and_sure[1])
 
 
-def _help(name: str, after: int, pairs: Sequence[tuple[RunRow, RunRow]]) -> Help:
-    each = [claims([pair[k] for pair in pairs]) for k in (0, 1)]
-    found, sure = (
-        np.column_stack([getattr(of, rule)[:, after - 1] for of in each]).astype(float)
-        for rule in ("found", "found_and_sure")
-    )  # (n, 2)
-    gain = sure[:, 1] - sure[:, 0]
-    least = CHANCE * math.sqrt((gain.var() + 1.0 / len(gain)) / len(gain))
-    verdict = "no difference seen"
-    if len(gain) < LEAST:
-        verdict = "too few seeds to tell"
-    elif abs(gain.mean()) > least:
-        verdict = "would help" if gain.mean() > 0.0 else "would hurt"
-    was, became = (tuple(each.mean(axis=0).tolist()) for each in (found, sure))
-    return Help(name, len(pairs), after, was, became, verdict)
-
-
 def written(own: Case, runs: Sequence[RunRow], out: Path) -> Iterator[str]:
-    """The lines that are printed, once `expect.json` is written into the directory `out`.
+    """The lines that are printed, with a Markdown table and a line on each change, once
+    `expect.json` is written into the directory `out`.
 
     Raises:
         SetupError: the directory cannot be written.
@@ -192,18 +182,12 @@ def written(own: Case, runs: Sequence[RunRow], out: Path) -> Iterator[str]:
         f"of {1e3 * model.depth_max_m:g} mm, robot {1e3 * given.robot_m:g} mm: {len(trials)} trials"
     )
     yield ""
-    yield from lines(rows, changes)
-    yield str(out / "expect.json")
-
-
-def lines(rows: Sequence[Touched], changes: Sequence[Help]) -> Iterator[str]:
-    """A Markdown table, then a line on each change."""
     head = ["touches", "median mm", "90 % mm", f"found (< {FOUND_MM:.0f} mm)", "found and sure"]
     yield "| " + " | ".join([*head, "misleading"]) + " |"
     yield "|---" * (len(head) + 1) + "|"
     for row in rows:
         shares = [f"{share:.0%}" for share in (row.found, row.found_and_sure, row.misleading)]
-        errors = [f"{mm:.1f}" for mm in (row.median_mm, row.p90_mm)]
+        errors = [f"{error_mm:.1f}" for error_mm in (row.median_mm, row.p90_mm)]
         yield "| " + " | ".join([str(row.touches), *errors, *shares]) + " |"
     yield ""
     for each in changes:
@@ -214,6 +198,7 @@ def lines(rows: Sequence[Touched], changes: Sequence[Help]) -> Iterator[str]:
             f"{each.verdict}: {each.name} {found} found, {sure} found and sure after {each.after} "
             f"({each.trials} seeds)"
         )
+    yield str(out / "expect.json")
 
 
 def _placed(asked: Subject, layout: str) -> tuple[Subject, str]:

@@ -104,19 +104,17 @@ class Ledger:
         else:
             self._frame(unit, unit.sent, t)
 
-    def add(self, other: "Ledger") -> None:
-        """Count what another ledger of the same host has counted."""
-        for name in asdict(self.fates):
-            setattr(self.fates, name, getattr(self.fates, name) + getattr(other.fates, name))
-        self.poses_heard += other.poses_heard
-        self.done += other.done
-        self.hosts = other.hosts
-
-    def entries(self) -> dict[str, Any]:
-        """As a session keeps it."""
-        names = ("poses_heard", "refused", "hosts", "knows_pauses")
-        counts = {name: getattr(self, name) for name in names}
-        return {"done": dict(sorted(self.done.items())), **counts, "fates": asdict(self.fates)}
+    def entries(self, *others: "Ledger") -> dict[str, Any]:
+        """As a session keeps it, with what the ledgers of the host's other hubs have counted."""
+        each = (self, *others)
+        return {
+            "done": dict(sorted(sum((one.done for one in each), Counter[str]()).items())),
+            "poses_heard": sum(one.poses_heard for one in each),
+            "refused": sum(one.refused for one in each),
+            "hosts": self.hosts,
+            "knows_pauses": self.knows_pauses,
+            "fates": {k: sum(getattr(one.fates, k) for one in each) for k in asdict(self.fates)},
+        }
 
     def _line(self, unit: WireUnit, line: bytes, t: float) -> None:
         self.fates.bytes += len(line)

@@ -29,8 +29,8 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.session import Item
 from taxeld.source.sources import ArraySource, LiveSource, Source, polled
 from taxeld.stream import messages, topics
-from taxeld_hil.grade.session import Run, add
-from taxeld_hil.rig.ledger import Ledger, WireUnit
+from taxeld_hil.grade.session import add
+from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.rig import Rig, rigs_of
 from taxeld_hil.run.session_run import SessionRun, write_truth
 from taxeld_hil.scenario import settings
@@ -40,7 +40,6 @@ from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import BROADCAST, Command, Packet
 from taxeld_protocol.frames import Chunk, Frame
 
-NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
 HEALTH_S = 1.0
 NOWHERE = Path("/nowhere")  # where no file, socket and device is
 
@@ -188,6 +187,8 @@ def _source(config: SourceConfig, skins: Mapping[int, Layout], line: MemoryLine)
 class FakeRun(SessionRun):
     """A scenario on the fake clock, tick by tick."""
 
+    clock = "fake"
+
     def __init__(
         self,
         scenario: Scenario,
@@ -201,9 +202,12 @@ class FakeRun(SessionRun):
         Raises:
             SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
         """
-        self.scenario, self._seed = scenario, seed
+        self.scenario, self.seed = scenario, seed
         self.rigs = rigs_of(scenario, seed)
         self.rig = self.rigs[0]
+        # there are no sockets, and no adapter
+        of_frames = OF_FRAMES if self.rig.is_array else ()
+        self.not_injected = "subscriber_dead", "adapter_closed", *of_frames
         apart = [[rig] for rig in self.rigs]
         self.lines = [MemoryLine(*on) for on in ([self.rigs] if scenario.one_bus else apart)]
         self.line = self.lines[0]
@@ -282,16 +286,7 @@ class FakeRun(SessionRun):
             for link, line in enumerate(self.lines):
                 line.record = partial(self._recorder.take, link=link)
             self.run()
-
-    def _about(self, name: str) -> Run:
-        ledger = Ledger((), self.rig.ledger.period_s)
-        for rig in self.rigs:
-            ledger.add(rig.ledger)
-        scenario = self.scenario
-        taxels = [self.rigs[fault.link].taxels_of(fault) for fault in scenario.fault]
-        not_injected = (*NOT_INJECTED, *(OF_FRAMES if self.rig.is_array else ()))
-        about = name, self._seed, "sim", "fake", scenario, self.line.t
-        return Run(*about, taxels, not_injected, ledger.entries())
+        self.end_s = self.line.t
 
     def _set(self, t: float) -> None:
         for line in self.lines:

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
 from statistics import median
@@ -23,7 +23,7 @@ from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages, topics
 from taxeld_hil.grade.reconcile import laws
-from taxeld_hil.grade.session import Run, add
+from taxeld_hil.grade.session import add
 from taxeld_hil.rig.bench import Bench
 from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S, Rig
 from taxeld_hil.run.session_run import SessionRun, write_truth
@@ -144,38 +144,31 @@ class LiveRun(SessionRun):
     """A run in real time. The operator's robot moves and touches, and the daemon listens to the
     device. Nothing is injected into a real skin; the daemon and a subscriber can be killed."""
 
-    target, seed = "sim", 0
-    log_level = "warning"
+    clock, log_level = "real", "warning"
+    not_injected = tuple(kind for kind in KINDS if kind not in ON_HARDWARE)
 
     def __init__(
-        self,
-        scenario: Scenario,
-        target: str,
-        poses: str,
-        truth: Sequence[float] | None,
-        say: Say,
+        self, scenario: Scenario, target: str, poses: str, truth: Poses | None, say: Say
     ) -> None:
         """`target`: can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0; `poses`: the robot's
         endpoint, empty: the sensor stands still; `truth` (3,) of the object in its world; `say`
         prints lines as the run goes on.
 
         Raises:
-            SetupError: the target is malformed.
+            SetupError: the target is malformed, the scenario needs the fake clock, or the daemon
+                would refuse a bundle on this layout.
         """
         kind, _, self._channel = target.partition(":")
-        if kind not in TARGETS or not self._channel:
+        if kind in TARGETS and self._channel:
+            scenario = scenario.over(TARGETS[kind])
+        elif target != "sim":
             named = ", ".join(f"{name}:DEVICE" for name in TARGETS)
             raise SetupError(f"--target: '{target}' is none of sim, {named}")
-        self.target, self._poses = target, poses
-        self._init(scenario.over(TARGETS[kind]), None if truth is None else np.array(truth), say)
-
-    def _init(self, scenario: Scenario, truth: Poses | None, say: Say) -> None:
-        """Raises SetupError where the scenario needs the fake clock, or the daemon would refuse a
-        bundle on this layout."""
-        self.scenario, self.truth, self._say = scenario.in_real_time(), truth, say
+        self.scenario, self.target, self._poses = scenario.in_real_time(), target, poses
+        self.truth, self._say = truth, say
+        self._start_s: float | None = None  # of scenario time
         self._health: dict[str, Any] = {}  # the last
         self._resident_mb = list[float]()  # with each message of health
-        self._start_s: float | None = None  # of scenario time
         self._in_contact, self._most_taxels = False, 0
         self._is_done = False  # all contacts were made, and the last is over
         self._is_over = False  # all is sent, and counters alone are waited for
@@ -211,8 +204,12 @@ class LiveRun(SessionRun):
                 if self.t == BEFORE_S and time.monotonic() - began > START_S:
                     cure = "'taxeld-hil accept' checks a skin"
                     raise SetupError(f"{self.target}: no scan came within {START_S:g} s; {cure}")
+            self.end_s = self.t
             self._settle()
             self.daemon.stop()
+        if values := self._resident_mb:  # by the medians of the first and of the last third
+            third = max(len(values) // 3, 1)
+            self.growth_mb = round(median(values[-third:]) - median(values[:third]), 1)
 
     def _ends(self) -> bool:
         """Whether the time is up, or all contacts are made and the faults long over."""
@@ -276,11 +273,6 @@ class LiveRun(SessionRun):
             line += f" {1e3 * error_m:16.1f}"
         return line + f"  {messages.object_of(message)}" * (len(self.scenario.known) > 1)
 
-    def _about(self, name: str) -> Run:
-        taxels = [()] * len(self.scenario.fault)
-        not_injected = tuple(kind for kind in KINDS if kind not in ON_HARDWARE)
-        return Run(name, 0, self.target, "real", self.scenario, self.t, taxels, not_injected)
-
 
 class SimulatedRun(LiveRun):
     """A run in real time in which a virtual skin and robot feed the daemon over a transport."""
@@ -290,7 +282,8 @@ class SimulatedRun(LiveRun):
     def __init__(self, scenario: Scenario, seed: int, say: Say = lambda _: None) -> None:
         """Raises SetupError where the scenario needs the fake clock, or does not fit the skin."""
         self.seed, self.rig = seed, Rig(scenario.in_real_time(), seed)
-        self._init(scenario, self.rig.world.truth, say)
+        self.rigs, self.not_injected = [self.rig], NOT_INJECTED.get(scenario.transport, ())
+        super().__init__(scenario, "sim", "", self.rig.world.truth, say)
 
     @property
     def t(self) -> float:
@@ -334,19 +327,6 @@ class SimulatedRun(LiveRun):
             self._bench.port.forget()
         elif event == "daemon started":  # another host will listen
             self.rig.ledger.begin()
-
-    def _about(self, name: str) -> Run:
-        rig, scenario = self.rig, self.scenario
-        taxels = [rig.taxels_of(fault) for fault in scenario.fault]
-        not_injected = NOT_INJECTED.get(scenario.transport, ())
-        about = name, self.seed, self.target, "real", scenario, rig.duration_s, taxels, not_injected
-        return Run(*about, rig.ledger.entries(), _growth(self._resident_mb))
-
-
-def _growth(values: Sequence[float]) -> float:
-    """From the median of the first third to that of the last."""
-    third = max(len(values) // 3, 1)
-    return round(median(values[-third:]) - median(values[:third]), 1) if values else 0.0
 
 
 def emulate(

@@ -3,6 +3,7 @@
 import tempfile
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -11,11 +12,21 @@ from taxeld.errors import SetupError
 from taxeld.source import session
 from taxeld_hil.grade.grade import Grade, grade
 from taxeld_hil.grade.session import PUBLISHED, Run
+from taxeld_hil.rig.rig import Rig
+from taxeld_hil.scenario.scenario import Scenario
 
 
 class SessionRun(ABC):
     """A scenario around a daemon."""
 
+    scenario: Scenario
+    clock: str  # fake, real
+    seed = 0
+    target = "sim"
+    rigs: Sequence[Rig] = ()  # of each link; a real skin has none
+    not_injected: Sequence[str] = ()  # kinds of faults that are not possible
+    growth_mb = 0.0  # of the daemon's memory
+    end_s = 0.0  # scenario time at the end
     published: BinaryIO | None = None  # while it is played
 
     def graded(self, name: str, directory: Path | None = None) -> Grade:
@@ -53,9 +64,13 @@ class SessionRun(ABC):
         """To the end, with a daemon of that configuration; what skin and robot send goes into the
         directory."""
 
-    @abstractmethod
     def _about(self, name: str) -> Run:
-        """The run as it is now."""
+        ledgers = [rig.ledger for rig in self.rigs]
+        entries = ledgers[0].entries(*ledgers[1:]) if ledgers else None
+        faults, rigs = self.scenario.fault, self.rigs
+        taxels = [rigs[fault.link].taxels_of(fault) if rigs else () for fault in faults]
+        about = name, self.seed, self.target, self.clock, self.scenario, self.end_s, taxels
+        return Run(*about, self.not_injected, entries, self.growth_mb)
 
 
 def write_truth(directory: Path, truth: Poses) -> None:
