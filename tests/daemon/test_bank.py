@@ -97,7 +97,7 @@ def test_an_object_in_the_place_of_another_is_named(
     asked: list[int] = []
     with monkeypatch.context() as patched:
         for k, rule in enumerate(subject.bank.rules):
-            for name in ("take", "revisit", "adopt"):
+            for name in ("take", "search", "adopt"):
                 patched.setattr(rule, name, _counted(getattr(rule, name), asked, k))
         press(subject, world)
     assert set(asked) == {0}

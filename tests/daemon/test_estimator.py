@@ -16,13 +16,11 @@ from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import ROOM
-from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import Activation, ObservationModel
 from taxeld.proposals.analytic import Manifold, Projection
 from tests.rig.pressed_box import (
     TRUTH,
-    World,
     approach,
     box_side,
     estimator,
@@ -30,7 +28,6 @@ from tests.rig.pressed_box import (
     press,
     settled,
 )
-from tests.rig.scenes import box, scene_of
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.005])
@@ -147,7 +144,7 @@ def test_a_belief_that_becomes_impossible_begins_anew(box_model: ObservationMode
     assert near.mean() > 0.9
 
 
-def test_second_opinions_come_one_at_a_time_when_they_are_asked_for(
+def test_searches_come_one_at_a_time_when_they_are_asked_for(
     box_model: ObservationModel,
 ) -> None:
     """The result is the same whether each is taken with its scan, or later but before the next."""
@@ -169,18 +166,6 @@ def test_second_opinions_come_one_at_a_time_when_they_are_asked_for(
 
 def messages_of(estimate: Estimate) -> str:
     return repr(replace(estimate, modes=())) + repr([m.pose.tolist() for m in estimate.modes])
-
-
-def test_the_opposite_side_is_considered_though_no_sample_is_there(skin: Layout) -> None:
-    """A box whose symmetry is not known: turned by half it explains all touches as well."""
-    scene = scene_of(box(0.03, 0.06), skin, symmetry=1)
-    world = World(ObservationModel(scene, skin, 0.005))
-    subject = world.knowing()
-    for side in (0.2, 1.3, 2.9):
-        world.press(subject, side)
-    one, other = subject.estimate.modes
-    assert abs(se2.wrap(one.pose[2] - other.pose[2])) == pytest.approx(np.pi, abs=0.1)
-    assert other.weight > 0.3
 
 
 TAXELS = 32

@@ -1,6 +1,7 @@
 """What the estimator says of a place: found, left, doubted or not to be felt; how sure it is."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from taxeld.estimator.estimate import (
     status,
 )
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import AGREED, REVISITS
+from taxeld.estimator.mixture import SEARCHES
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import Activation, Observation, ObservationModel
@@ -161,25 +162,27 @@ def test_a_pushed_object_of_which_the_place_was_known_is_found_by_fewer_contacts
     assert found[1] is not Status.CONVERGED
 
 
-def test_second_opinions_are_few_and_end_when_two_leave_a_sure_belief(
+def test_no_belief_is_sure_before_a_search_has_left_it_in_place(
     box_model: ObservationModel,
 ) -> None:
-    world, subject = settled(box_model)
-    for angle in (0.2, 1.3):
-        world.press(subject, angle)
-    counters = subject.counters
-    for place, most in ((TRUTH, AGREED), (ELSEWHERE, REVISITS)):
-        world.truth = place
-        before = counters.thoughts
-        for _ in range(20):
-            estimate = world.feel(subject, box_side(box_model, 2.9, 0.003))
-        assert (estimate.p >= SURE) is (place is TRUTH)
-        assert counters.thoughts - before <= most
-        assert not subject.has_thought
-        world.feel(subject, box_side(box_model, 2.9, -0.02))
-        world.t += 1.0
-        world.feel(subject, box_side(box_model, 2.9, -0.02))
-    assert counters.thoughts > before
+    """Each contact allows few searches. Later ones need none while the belief stays sure."""
+    world = World(box_model)
+    subject = world.knowing()
+    at_once, subject.on_scan = subject.on_scan, partial(subject.on_scan, thinks=False)  # type: ignore[method-assign]
+    for k in range(20):
+        world.press(subject, 0.2 + 1.1 * k)
+        if subject.has_thought:
+            break
+    assert 0.9 < subject.estimate.p < SURE
+    found = 0
+    while subject.has_thought:
+        found += subject.think()
+    assert found <= SEARCHES
+    assert subject.estimate.p >= SURE
+    subject.on_scan = at_once  # type: ignore[method-assign]
+    before = subject.counters.thoughts
+    world.press(subject, 2.9)
+    assert subject.counters.thoughts == before
 
 
 NARROW = np.array([0.001, 0.001, 0.01])

@@ -16,6 +16,7 @@ import pytest
 import zmq
 
 from taxeld.config.file import parse
+from taxeld.estimator import mixture
 from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
 from taxeld.model.observation import Activation
@@ -100,6 +101,7 @@ class Touches:
         self._made = 0
         monkeypatch.setattr(time, "time", lambda: self._skin.t)
         monkeypatch.setattr(daemon.inputs.sources[0], "poll", lambda *_: self.scans)
+        monkeypatch.setattr(mixture, "SURE", 0.0)  # any belief is to be searched
 
     def next(self) -> Scan:
         """Another scan."""
@@ -123,7 +125,7 @@ def touches(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Touches:
     return Touches(daemon, monkeypatch)
 
 
-def test_a_pass_without_arrivals_takes_one_second_opinion_and_sends_what_it_bettered(
+def test_a_pass_without_arrivals_takes_one_search_and_sends_what_it_bettered(
     touches: Touches,
 ) -> None:
     daemon, counters = touches.daemon, touches.daemon.pipeline.estimator.counters
@@ -143,7 +145,7 @@ def test_a_pass_without_arrivals_takes_one_second_opinion_and_sends_what_it_bett
             assert again[0]["lat_us"]["skin"] == 0.0
             assert again[0]["lat_us"]["filter"] > 0.0
         assert counters.thoughts == bettered, "one for a scan"
-    assert bettered > 3
+    assert bettered
     assert daemon.publisher.scans == daemon.pipeline.skin.counters.scans, "each scan counts once"
 
 
@@ -160,10 +162,13 @@ def test_the_status_line_has_p_where_the_estimate_is_valid(daemon: Daemon) -> No
     assert daemon.publisher.status_line(now) == "converged, p 99.6%, contacts 2, overruns 0"
 
 
-def test_no_second_opinion_is_taken_while_a_scan_waits(touches: Touches) -> None:
+def test_no_search_is_made_while_a_scan_waits(touches: Touches) -> None:
     pipeline = touches.daemon.pipeline
-    while not pipeline.has_thought:
+    for _ in range(200):
         touches.tick([touches.next()], Ready(device=True))
+        if pipeline.has_thought:
+            break
+    assert pipeline.has_thought
     thoughts = pipeline.estimator.counters.thoughts
     pipeline.stages[0].waiting.append((pipeline.estimate.t, touches.next()))
     pipeline.stages[0].is_due = lambda *_: False  # type: ignore[method-assign]  # no pose has come

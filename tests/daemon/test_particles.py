@@ -103,23 +103,6 @@ def samples(n: int, mean: float) -> Poses:
     return np.asarray(rng().standard_normal((n, 3)) * SD + [mean, 0.0, 0.0])
 
 
-def annealed(poses: Poses, *means: float) -> Belief:
-    """Samples that know the first of these scans, brought to explain all of them."""
-    explain = gaussians(*means)
-    return pf.anneal(poses, lambda told: told[:, 0], everything, explain, rng())
-
-
-@pytest.mark.parametrize(("means", "mean", "sd"), [((0.0,), 0.0, 1.0), ((0.0, 0.004), 0.002, 0.7)])
-def test_annealed_samples_are_of_all_scans_together(
-    means: tuple[float, ...], mean: float, sd: float
-) -> None:
-    """Samples of one Gaussian scan stay what they are, of two become the product of both."""
-    made = annealed(samples(4000, 0.0), *means)
-    assert np.isclose(made.pose[:, 0].mean(), mean, atol=1e-4)
-    assert np.allclose(made.pose.std(axis=0) / SD, sd, atol=0.08)
-    assert np.allclose(made.remembered, gaussians(*means)(made.pose))
-
-
 @pytest.mark.parametrize("nats", [0.0, np.log(3.0), 60.0])
 def test_opinions_share_the_weight_by_their_evidence(nats: float) -> None:
     one, other = (

@@ -25,7 +25,7 @@ from taxeld.prior import PosePrior
 FOLLOWED = 2  # objects that learn from every scan
 LATER_MAX = 64  # scans that an object may have to learn later
 RULED_OUT = 1e-4  # probability below which an object is not tried after each contact
-DOUBTED = 0.01  # probability from which an object has modes, and is given second opinions
+DOUBTED = 0.01  # probability from which an object has modes, and is searched
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +167,8 @@ class Bank:
         return bool(self.due) or self._opens() is not None
 
     def revisit(self) -> int:
-        """Have an object explain the scans that it has not learned from, or take a second opinion;
-        → the number of samples used."""
+        """Have an object explain the scans that it has not learned from, or search for another
+        place; → the number of samples used."""
         samples = 0
         if self.due:
             k = self.due.pop(0)
@@ -179,7 +179,7 @@ class Bank:
                 for scan in later:
                     samples += rule.take(scan)[0]
         elif (opens := self._opens()) is not None:
-            samples = self.rules[opens].revisit()
+            samples = self.rules[opens].search()
         if samples:
             self._weigh()
         return samples
@@ -189,7 +189,7 @@ class Bank:
         return sorted(range(len(self.rules)), key=lambda k: -self.odds.objects[k])
 
     def _opens(self) -> int | None:
-        """The likeliest followed object whose belief is open to a second opinion."""
+        """The likeliest followed object whose belief is to be searched."""
         likely = (k for k in self.likely if k in self._followed)
         return next((k for k in likely if self.rules[k].is_open), None)
 

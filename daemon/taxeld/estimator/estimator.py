@@ -170,8 +170,8 @@ class Estimator:
         return self.bank.is_behind or (self.unconsidered is not None and self.bank.is_open)
 
     def think(self) -> bool:
-        """After a scan that told nothing new, take a second opinion about earlier contacts; →
-        whether the estimate has changed."""
+        """After a scan that told nothing new, search by earlier contacts; → whether the estimate
+        has changed."""
         observation, self.unconsidered = self.unconsidered, None
         if observation is None and not self.bank.is_behind:
             return False

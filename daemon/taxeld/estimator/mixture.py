@@ -1,5 +1,5 @@
-"""The rule that remembers: samples are brought to explain all that is remembered, and merged with
-the belief by their evidence."""
+"""The rule that remembers: samples are weighed by all that is remembered, and merged with the
+belief by their evidence."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,9 +10,9 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, Place, placed
-from taxeld.estimator.evidence import UNTOUCHED, ModelEvidence, odds
+from taxeld.estimator.evidence import LEAST, UNTOUCHED, ModelEvidence, odds
 from taxeld.estimator.memory import Memory, ObjectSkin, Slack
-from taxeld.estimator.particles import Belief
+from taxeld.estimator.particles import Belief, Support
 from taxeld.estimator.priors import BeliefPrior, PriorTerm
 from taxeld.estimator.scans import ScanEvidence, noise_of, surplus
 from taxeld.model.observation import Lesson, Observation, ObservationModel
@@ -30,10 +30,10 @@ TELLING = 1.0  # nats that a silent scan must cost some particle to be remembere
 SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # candidate factors on the configured slack
 EXPECTING = 32  # poses by which a belief tells what it expects
 SLACK_NATS = 1.0  # nats of evidence needed to change the slack
-REVISITS = 3  # second opinions after a contact, at most
+SEARCHES = 2  # after a contact, at most
+SEARCHED = 4  # contacts whose samples a search takes
+MISSED = 0.02  # probability, until a search has found nothing else, that the belief has missed it
 OPINIONS = 2  # contacts with whose samples an object begins that was ruled out before
-AGREED = 2  # opinions in a row that leave a sure belief in place are enough
-MISSED = 0.02  # probability, until then, that no particle is where the object is
 
 
 class Mixture:
@@ -63,8 +63,9 @@ class Mixture:
         self.share = 1.0  # probability of its object among those that it may be
         self.push: Push = push
         self._stands = 1.0  # probability that this object has stood, were it the only one known
-        self._revisits = 0  # second opinions since the last contact
-        self._agreed = 0  # opinions in a row that left a sure belief in place
+        self._searches = 0  # since the last contact
+        self._is_sure = False  # but for what a search may find
+        self._is_searched = False  # whether it was sure before and after a search or a touch
         self._fitted = 0  # number of the contact after which the slack was fitted
 
     def follow(self, before: Observation, after: Observation) -> None:
@@ -114,10 +115,10 @@ class Mixture:
         else:
             self._forget_surplus()
             if len(samples):
-                self._revisits = 0
+                self._searches = 0
                 opinion = self.opinion(samples, len(self.memory) - 1, self._rng)
                 is_known = memory.prior is not None or memory.term is not None
-                if np.count_nonzero(self.memory.contact) > 1 or is_known:
+                if self._has_more or is_known:
                     opinion = self._merged(opinion)
                 self._become(opinion, moves=MOVES)
                 self._fit_slack()
@@ -126,7 +127,8 @@ class Mixture:
         # silence that the belief expected changes no verdict, and before a touch there is none
         is_felt = bool(self.memory.contact.any()) or self.memory.prior is not None
         if len(samples) or (is_felt and abs(evidence) > 1.0 - SURE):
-            self._judge(opinions=int(len(samples) > 0))
+            # a touch is a search of its own where nothing else is remembered to search by
+            self._judge(has_looked=len(samples) > 0 and not self._has_more)
         return len(samples), evidence
 
     def tell(self, pose: PosePrior, contacts: int) -> None:
@@ -141,17 +143,11 @@ class Mixture:
         belief.remembered = memory.explain(belief.pose)
         pf.reweight(belief, memory.runs.support(belief.remembered) - known)
         at = memory.terms - len(memory) - 1  # the term's column
-        opinion = pf.anneal(
-            term.samples(max(self._wanted, 1), self._rng),
-            lambda explained: np.asarray(explained[:, at]),
-            memory.runs.support,
-            memory.explain,
-            self._rng,
-            self._scale,
-        )
+        samples = term.samples(max(self._wanted, 1), self._rng)
+        opinion = self._weighed(samples, lambda explained: explained[:, at], self._rng)
         self._become(self._merged(opinion), moves=1)
-        self._revisits = self._agreed = 0
-        self._judge(opinions=0)
+        self._searches, self._is_searched = 0, False
+        self._judge(has_looked=False)
 
     def _believe(self, term: PriorTerm) -> None:
         """Before the first touch: particles of the prior, and of the whole table."""
@@ -174,47 +170,35 @@ class Mixture:
 
     @property
     def is_open(self) -> bool:
-        """Whether `revisit` may find anything."""
-        few = self._revisits < REVISITS and self._agreed < AGREED
-        return few and int(np.count_nonzero(self.memory.contact)) > 1
+        """Whether a search is due: once before the belief may be sure."""
+        few = self._searches < SEARCHES
+        return self._is_sure and not self._is_searched and few and self._has_more
 
-    def revisit(self) -> int:
-        """Take a second opinion, brought to explain all contacts: first the belief turned by half
-        where that is another pose, then samples of a remembered contact. → the number of samples
-        used."""
-        if not self._wanted:
-            return 0
-        if not self._revisits and self.metric.order % 2:
-            opinion = self._turned()
-        else:
-            scan = int(self._rng.choice(np.flatnonzero(self.memory.contact)))
+    @property
+    def _has_more(self) -> bool:
+        """Whether more than one contact is remembered."""
+        return int(np.count_nonzero(self.memory.contact)) > 1
+
+    def search(self) -> int:
+        """Merge the belief with samples of several remembered contacts; → how many."""
+        contacts, found = np.flatnonzero(self.memory.contact), 0
+        for scan in self._rng.permutation(contacts)[:SEARCHED].tolist():
             samples = self._draw(self.memory.scans[scan].remembered, self._wanted)
-            if not len(samples):  # there is no time
-                return 0
-            opinion = self.opinion(samples, scan, self._rng)
-        self._revisits += 1
-        self._become(self._merged(opinion), moves=1)
-        self._judge(opinions=1)
-        return len(opinion)
-
-    def _turned(self) -> Belief:
-        """An opinion of the poses a half turn from the belief. What two faces of an object feel
-        like is often much the same on opposite sides, and samples may reach one of these alone."""
-        poses = pf.resample(self.belief, self._wanted, self._rng).pose
-        turned = self.metric.placed(self.metric.centres(poses), poses[:, 2] + np.pi)
-        return pf.anneal(
-            pf.roughened(turned, self._rng, self._scale),
-            lambda explained: np.zeros(len(explained)),
-            self.memory.runs.support,
-            self.memory.explain,
-            self._rng,
-            self._scale,
-        )
+            if len(samples):
+                self.belief = self._merged(self.opinion(samples, scan, self._rng))
+                found += len(samples)
+        if not found:  # there is no time
+            return 0
+        self._searches += 1
+        self._become(self.belief, moves=1)
+        self._judge(has_looked=True)
+        return found
 
     def adopt(self, memory: Memory) -> int:
         """Begin with the scans that another object's `memory` has; → the number of samples used."""
         self.memory = self.memory.adopted(memory)
-        self.belief, self._revisits, self._agreed = pf.uniform(self._config, self._rng), 0, 0
+        self.belief = pf.uniform(self._config, self._rng)
+        self._searches, self._is_searched = 0, False
         contacts, used = np.flatnonzero(self.memory.contact)[::-1], 0
         for scan in contacts[:: max(len(contacts) // OPINIONS, 1)][:OPINIONS].tolist():
             samples = self._draw(self.memory.scans[scan].remembered, self._config.injected)
@@ -225,7 +209,7 @@ class Mixture:
             used += len(samples)
         if not used:
             self.belief.remembered = self.memory.explain(self.belief.pose)
-        self._judge(opinions=0)
+        self._judge(has_looked=False)
         return used
 
     def expected(self, after: int, link: int) -> Lesson | None:
@@ -239,26 +223,36 @@ class Mixture:
         return memory.only(told).contacts_at(drawn.pose, link)
 
     def opinion(
-        self, samples: Poses, scan: int, rng: np.random.Generator, strictness: float = 1.0
+        self, samples: Poses, scan: int, rng: np.random.Generator, power: float = 1.0
     ) -> Belief:
-        """Samples (S, 3) of scan number `scan`, brought to explain the whole memory; `strictness`:
-        power of its likelihood."""
+        """Samples (S, 3) of scan number `scan`, weighed by the whole memory in place of that scan
+        alone; `power`: of the memory's likelihood."""
         memory = self.memory
-        alone = replace(memory, prior=None, term=None).only(np.arange(len(memory)) == scan).runs
         at = memory.terms - len(memory) + scan  # the scan's column
+        samples = samples.copy()
+        samples[:, :2] += np.sqrt(memory.variance[scan]) * rng.standard_normal((len(samples), 2))
 
-        def own_contact(explained: Floats) -> Floats:
-            """Log-density (N,) of poses by their own contact: explained is (N, terms)."""
-            return alone.support(explained[:, at : at + 1])
+        def own(explained: Floats) -> Floats:
+            return np.asarray(np.logaddexp(explained[:, at] - memory.anything[scan], LEAST))
+
+        return self._weighed(samples, own, rng, power)
+
+    def _weighed(
+        self, samples: Poses, own: Support, rng: np.random.Generator, power: float = 1.0
+    ) -> Belief:
+        """Samples (S, 3) of log-density `own`, weighed and drawn anew by that of the belief, to
+        this power, and moved once."""
+        memory = self.memory
 
         def all_of_it(explained: Floats) -> Floats:
-            """Log-density (N,) that the samples are brought to."""
-            return strictness * memory.runs.support(explained)
+            return power * memory.runs.support(explained)
 
-        samples = samples.copy()
-        sd_m = np.sqrt(memory.variance[scan])
-        samples[:, :2] += sd_m * rng.standard_normal((len(samples), 2))
-        return pf.anneal(samples, own_contact, all_of_it, memory.explain, rng, self._scale)
+        opinion = pf.equal(samples, memory.explain(samples))
+        opinion.log_weight = all_of_it(opinion.remembered) - own(opinion.remembered)
+        pf.normalise(opinion)
+        opinion = pf.resample(opinion, len(samples), rng)
+        pf.rejuvenate(opinion, memory.explain, all_of_it, rng, self._scale)
+        return opinion
 
     @property
     def _wanted(self) -> int:
@@ -267,32 +261,32 @@ class Mixture:
         size = self._most if self._stands < 0.5 else len(self.belief)
         return round(config.injected * max(size / config.particles, 1.0))
 
-    def _judge(self, opinions: int) -> None:
-        """Weigh the hypotheses, and find how sure the belief is, after so many opinions more."""
+    def _judge(self, *, has_looked: bool) -> None:
+        """Weigh the hypotheses, and find how sure the belief is; `has_looked`: elsewhere as
+        well."""
         self.weighed = UNTOUCHED
         if len(self.memory):
             self.weighed = self._evidence.weighed(self.belief, self.memory.runs)
             self.log_z = self.weighed.log_z
         alone = odds([self.weighed])
-        self._stands, self._place = alone.hypotheses.stands, None
-        if not (opinions or self._agreed):
-            return
-        before, now = self._before, placed(self.belief, self.metric, self._config)
+        self._stands = alone.hypotheses.stands
+        was_sure, before = self._is_sure, self._before
+        now = placed(self.belief, self.metric, self._config)
+        self._is_sure = float(alone.here[0]) * now.within >= SURE
         apart = self.metric.distance(before.modes[0].pose, now.modes[0].pose)
-        is_sure = float(alone.here[0]) * now.within >= SURE
-        stays = is_sure and apart < MODE_RADIUS_M * self._scale
-        self._agreed = self._agreed + opinions if stays else 0
-        self._searched(now)
+        stays = was_sure and self._is_sure and bool(apart < MODE_RADIUS_M * self._scale)
+        self._is_searched = stays and (self._is_searched or has_looked)
+        self._take_place(now)
 
     @property
     def place(self) -> Place:
         """Where the belief has the object."""
-        return self._place or self._searched(placed(self.belief, self.metric, self._config))
+        return self._place or self._take_place(placed(self.belief, self.metric, self._config))
 
-    def _searched(self, place: Place) -> Place:
+    def _take_place(self, place: Place) -> Place:
         """Remember the place, less the probability that no particle is where the object is."""
-        searched = 1.0 if self._agreed >= AGREED else 1.0 - MISSED
-        self._place = self._before = replace(place, within=searched * place.within)
+        found = 1.0 if self._is_searched else 1.0 - MISSED
+        self._place = self._before = replace(place, within=found * place.within)
         return self._place
 
     def _fit_slack(self) -> None:
@@ -327,7 +321,7 @@ class Mixture:
             self._become(opinion, moves=MOVES)
 
     def _merged(self, opinion: Belief) -> Belief:
-        """The belief merged with a second opinion. Samples know nothing of how the object slides,
+        """The belief merged with an opinion. Samples know nothing of how the object slides,
         so each takes the ground of the nearest particle."""
         belief = self.belief
         if belief.ground.size:

@@ -34,7 +34,7 @@ class EstimatorCounters:
 
     scans: int = 0
     updates: int = 0  # scans that were learned from
-    thoughts: int = 0  # second opinions that changed the belief
+    thoughts: int = 0  # searches, and objects tried again
     jumps: int = 0  # scans whose sensor pose is too far from the last, not used
     stuck: int = 0  # scans in which a taxel read the same as ever, and was left out
 

@@ -8,7 +8,7 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.memory import Memory
-from taxeld.estimator.mixture import AGREED, Draw, Mixture
+from taxeld.estimator.mixture import Draw, Mixture
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.scans import ScanEvidence
 from taxeld.model.observation import ObservationModel
@@ -31,7 +31,7 @@ class Paper(Mixture):
     ) -> None:
         super().__init__(model, config, robot_m, rng, draw)
         self.memory = Memory(self.memory.skin)  # the paper takes poses for exact
-        self._agreed = AGREED  # and its belief for the whole truth
+        self._is_searched = True  # and its belief for the whole truth
 
     def take(self, scan: ScanEvidence) -> tuple[int, float]:
         """The number of samples falls with each contact to nothing: the paper's algorithm sets no

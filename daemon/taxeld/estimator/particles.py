@@ -4,8 +4,8 @@ Particles are a structure of arrays with log-weights; each step is a function of
 
 A sample of p(q | contact) takes no other scan into account. The paper still gives it the mean
 weight, so a right belief can lose to samples that explain only the present contact (`paper`). Here
-the samples are first *annealed* into a second opinion of the whole posterior, which is merged with
-the belief by its evidence.
+the samples are first weighed by all that is remembered, which makes them an opinion of their own of
+the whole posterior; it is merged with the belief by its evidence.
 """
 
 from collections.abc import Callable
@@ -32,8 +32,6 @@ MOVE_OCTAVES = (-2.5, 1.5)  # range of u: coarse steps separate the copies, fine
 DIFFERENCES = np.array([0.3, 0.7, 1.0])
 KLD_ERROR = 0.05  # nats between a wide belief and its particles
 CELL = np.array([0.01, 0.01, np.radians(10.0)])  # m, m, rad: cells of SE(2)
-KEPT = 0.25  # share of the samples that remains effective after a stage of annealing
-STAGES_MAX = 6  # the last stage takes all that is left
 
 
 class Room(NamedTuple):
@@ -181,38 +179,6 @@ def _random_steps(n: int, rng: np.random.Generator, scale: float) -> Poses:
     return steps
 
 
-def anneal(
-    samples: Poses,
-    own: Support,
-    support: Support,
-    explain: Explain,
-    rng: np.random.Generator,
-    scale: float = 1.0,
-) -> Belief:
-    """Bring equally likely samples (S, 3) of log-density `own` to `support`. The difference is
-    added by degrees, and after each step the samples are drawn anew and moved (an SMC sampler, Del
-    Moral et al. 2006). A step is as large as leaves the share KEPT of them effective. `scale`: the
-    object's size over the usual.
-    """
-    opinion, n, degree = equal(samples, explain(samples)), len(samples), 0.0
-
-    def between(explained: Floats) -> Floats:
-        return np.asarray((1.0 - degree) * own(explained) + degree * support(explained))
-
-    for stage in range(STAGES_MAX):
-        gain = support(opinion.remembered) - own(opinion.remembered)
-        left = 1.0 - degree
-        step = left if stage == STAGES_MAX - 1 else _step(gain, left, KEPT * n)
-        opinion.log_weight = step * gain
-        normalise(opinion)
-        opinion = resample(opinion, n, rng)
-        degree += step
-        rejuvenate(opinion, explain, between, rng, scale)
-        if step == left:
-            break
-    return opinion
-
-
 def merge(a: Belief, evidence_a: float, b: Belief, evidence_b: float) -> Belief:
     """Both beliefs in one, each weighed by its log evidence."""
     made = Belief(
@@ -244,25 +210,6 @@ def enough(cells: int) -> int:
     k = cells - 1
     root = 1.0 - 2.0 / (9.0 * k) + np.sqrt(2.0 / (9.0 * k)) * NormalDist().inv_cdf(0.99)
     return int(np.ceil(k / (2.0 * KLD_ERROR) * root**3))
-
-
-def _step(gain: Floats, most: float, kept: float) -> float:
-    """The largest power of exp(gain), up to `most`, that leaves `kept` effective samples."""
-    gain = gain - gain.max()
-    add = np.add.reduce  # like `sum` with less overhead: this is called often
-
-    def left(power: float) -> float:
-        weight = np.exp(power * gain)
-        total = float(add(weight))
-        return total * total / float(weight @ weight)
-
-    if left(most) >= kept:
-        return most
-    low, high = 0.0, most
-    for _ in range(12):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if left(middle) >= kept else (low, middle)
-    return high
 
 
 def log_sum_exp(values: Floats) -> float:

@@ -128,7 +128,7 @@ class Pipeline:
                 more,
                 first.beside,
             )
-        self.thinks_at_once = True  # whether a scan's second opinion is part of the work on it
+        self.thinks_at_once = True  # whether a scan's search is part of the work on it
         self.stepped_s = 0.0  # total steps of the Unix clock since start
         self._t = 0.0  # time of the last scan
 
@@ -227,7 +227,7 @@ class Pipeline:
         return not self.has_waiting and self.has_object and self.estimator.has_thought
 
     def think(self) -> Outcome | None:
-        """Take a second opinion, as `Estimator.think` does; → the estimate where that has changed,
+        """Search, as `Estimator.think` does; → the estimate where that has changed,
         and the time of this work."""
         began_ns, spent_ns = self.samples.clock(), self.samples.spent_ns
         if not self.estimator.think():

@@ -1,8 +1,8 @@
 """The loop: it alone owns clocks, sockets and devices.
 
 It sleeps until something arrives, or until its clock says so. A pass takes the arrivals, works on
-each scan to its end and publishes the results. A pass that finds no arrivals takes one second
-opinion on what was felt, if the pipeline has one to offer.
+each scan to its end and publishes the results. A pass that finds no arrivals makes a search, if
+the pipeline has one to make.
 """
 
 import contextlib
@@ -155,7 +155,7 @@ class Daemon:
 
     def tick(self, now_s: float, ready: Ready = ALL) -> None:
         """One pass: inputs, pipeline, outputs. `now_s` is monotonic; `ready` names the inputs that
-        may have arrivals. Without any there is time for a second opinion."""
+        may have arrivals. Without any there is time for a search."""
         start_ns, began_ns = time.perf_counter_ns(), time.thread_time_ns()
         pipeline, publisher = self.pipeline, self.publisher
         wall_s, stepped = self.clock.read()

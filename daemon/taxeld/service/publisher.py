@@ -93,7 +93,7 @@ class Publisher:
         return {"p50": p50, "p99": p99, "max": self._longest_us}
 
     def thought(self, outcome: Outcome, now_s: float) -> None:
-        """Publish the estimate again, which a second opinion has improved."""
+        """Publish the estimate again, which a search has changed."""
         self._send_estimate(_stages_us(outcome), now_s)
 
     def send_due(self, now_s: float) -> bool:
