@@ -39,7 +39,7 @@ bench: .venv/.all
 
 # The same on one core of this machine, which all its processes share
 bench-one-core: .venv/.all
-	taskset --cpu-list 0 $(BIN)/python benchmarks/run.py --no-demo
+	taskset --cpu-list 0 $(BIN)/python benchmarks/run.py
 
 # One update beside other filters, in an environment of their own: `particles` needs an older numpy
 bench-peers: .venv/.peers

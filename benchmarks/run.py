@@ -4,13 +4,8 @@ CPU time and counts, medians over rounds; wall-clock figures are printed, not ju
 says how fast this machine is (yardstick.py).
 """
 
-import argparse
 import os
-import subprocess
-import sys
-import tempfile
 import time
-from pathlib import Path
 
 from taxeld.command_line import ONE_THREAD
 
@@ -37,17 +32,10 @@ ROUNDS, TOUCHES, SCANS = 7, 20, 60
 SATURATED_FRAMES_S = 9_000  # most frames of 8 bytes on a bus of 1 Mbit/s
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--no-demo", action="store_true", help="leave the real-time demo out")
-    parser.add_argument("--seconds", type=float, default=40.0, help="a case of a running daemon")
-    parser.add_argument("--beside", type=Path, help="another checkout, as service.py has it")
-    args = parser.parse_args()
+def main() -> None:
     service.show([*decoding(), *touches()])
-    service.show(service.rows(args.seconds, args.beside))
-    service.show([] if args.no_demo else demo())
+    service.show(service.rows(service.SECONDS))
     service.show([("a loop of the yardstick: CPU ms", yardstick.loop_ms(), None)])
-    return 0
 
 
 def decoding() -> list[Row]:
@@ -106,15 +94,5 @@ def touches() -> list[Row]:
     return rows
 
 
-def demo() -> list[Row]:
-    """The demo in real time."""
-    with tempfile.TemporaryDirectory() as place:
-        start = time.monotonic()
-        command = [sys.executable, "-m", "taxeld_hil.cli", "run", "demo", "--out", place]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        took = time.monotonic() - start
-    return [("the demo: wall seconds", took, 60.0)]
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

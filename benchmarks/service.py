@@ -9,7 +9,6 @@ its own, with an interval of 95 % over windows of four seconds or over scans.
 import argparse
 import json
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -22,6 +21,7 @@ from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 
 HERE = Path(__file__).parents[1]
+SECONDS = 40.0  # of CPU time a case
 LARGE = "cylinder:rows=5,columns=128,radius_m=0.04,pitch_m=0.015"  # 640 taxels
 Row = tuple[str, float, float | None]  # a figure, measured, and its budget
 Figure = tuple[str, float | None, Callable[[Measured], Any]]  # name, budget, its values
@@ -39,13 +39,12 @@ LOOP: list[Figure] = [
 ]
 
 
-def main() -> int:
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=40.0, help="a case of CPU time")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="a case of CPU time")
     parser.add_argument("--beside", type=Path, help="another checkout, for ratios")
     args = parser.parse_args()
     show(rows(args.seconds, args.beside))
-    return 0
 
 
 def show(found: Iterable[Row]) -> None:
@@ -95,4 +94,4 @@ def large_bundle(path: Path) -> Path:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -24,13 +24,12 @@ from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle
 from taxeld_hil.integrity import Claims
 from taxeld_hil.objects import meshes
-from taxeld_training import closing, progress
+from taxeld_training import candidates, closing, progress
 from taxeld_training.build import summary
+from taxeld_training.candidates import Nearness, choose
 from taxeld_training.cli import main
 from taxeld_training.limits import quality
 from taxeld_training.models import variants
-from taxeld_training.samplers import candidates
-from taxeld_training.samplers.candidates import Nearness, choose
 from tests.rig.commands import refused
 from tests.rig.processes import read_all
 

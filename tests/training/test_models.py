@@ -41,7 +41,7 @@ def fitted(
     variant: Variant, model: ObservationModel, touches: SimulatedTouches, updates: int
 ) -> torch.nn.Module:
     small = variants.trained_with(variant, updates / variant.training.updates, 20_000, 0)
-    network = variants.fit(small, model, Noise(), touches)
+    (network,) = variants.fit([small], model, Noise(), touches)
     return variants.sampler_of(network)
 
 
@@ -67,7 +67,7 @@ def test_onnx_equals_torch_for_any_number_of_samples(
     for i, samples in enumerate((1, 3, 250)):
         z = torch.from_numpy(some.activation[i : i + 1])
         live = (torch.rand(1, taxels) > 0.2).float()
-        noise = torch.randn(sampler.noise_steps, samples, 4)  # type: ignore[call-overload]
+        noise = torch.randn(sampler.steps, samples, 4)  # type: ignore[call-overload]
         with torch.no_grad():
             expected = rounded(sampler)(z, live, noise).numpy()  # type: ignore[arg-type]
         inputs = {"z": z.numpy(), "live": live.numpy(), "noise": noise.numpy()}
@@ -98,9 +98,9 @@ def test_a_model_trained_beside_others_is_the_one_that_is_trained_alone(
         variants.trained_with(SMALL[name], updates / TRAINING.updates, 5_000, 0)
         for name, updates in few.items()
     ]
-    beside = variants.fit_beside(given, ring_model, Noise(), touches)
+    beside = variants.fit(given, ring_model, Noise(), touches)
     for variant, one in zip(given, beside, strict=True):
-        alone = variants.fit(variant, ring_model, Noise(), touches)
+        (alone,) = variants.fit([variant], ring_model, Noise(), touches)
         for name, weight in alone.state_dict().items():
             assert torch.equal(weight, one.state_dict()[name]), (variant.family, name)
 

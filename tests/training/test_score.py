@@ -10,7 +10,7 @@ import pytest
 from taxeld_hil.trials.case import Case
 from taxeld_hil.trials.play import Touch
 from taxeld_hil.world.subjects import Subject
-from taxeld_training.trials import score, statistics
+from taxeld_training.trials import score
 from taxeld_training.trials.questions import Cell
 from taxeld_training.trials.score import Played
 
@@ -89,7 +89,7 @@ def test_a_share_of_none_or_all_is_not_certain_and_a_seed_counts_once() -> None:
 def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:
     rng = np.random.default_rng(0)
     values = rng.normal(5.0, 2.0, 400)
-    low, high = statistics.by_seeds(lambda each: float(each.mean()), values, np.arange(400))
+    low, high = score.by_seeds(lambda each: float(each.mean()), values, np.arange(400))
     assert (low + high) / 2 == pytest.approx(values.mean(), abs=0.05)
     assert high - low == pytest.approx(2 * 1.96 * 2.0 / 20.0, rel=0.2)
 

@@ -22,10 +22,9 @@ from taxeld.model.observation import ObservationModel
 from taxeld.proposals import manifest
 from taxeld_hil.objects import bundles, meshes
 from taxeld_hil.trials.case import SHIPPED, Method
-from taxeld_training import closing, progress
+from taxeld_training import candidates, closing, progress
+from taxeld_training.candidates import Candidates
 from taxeld_training.objects.report import doubts
-from taxeld_training.samplers import candidates
-from taxeld_training.samplers.candidates import Candidates
 
 SCENE = "scene"
 STAGES = (SCENE, *candidates.STAGES, closing.STAGE)  # of a bundle with a sampler, in order

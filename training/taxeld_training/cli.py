@@ -29,9 +29,8 @@ def _build(args: argparse.Namespace) -> int:
     taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --table --out bracket
     taxeld-train build 003_cracker_box 025_mug 035_power_drill --table --out bank
     """
-    from taxeld_training import closing
+    from taxeld_training import candidates, closing
     from taxeld_training.build import Build
-    from taxeld_training.samplers import candidates
 
     skins, heights_m = args.layout or [SkinConfig().layout], args.height_m or [HEIGHT_M]
     if len(heights_m) not in (1, len(skins)):

@@ -24,8 +24,8 @@ from taxeld_hil.trials.case import SHIPPED, TABLED, Case, Method
 from taxeld_hil.trials.play import Touch, play
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.subjects import Subject
+from taxeld_training.candidates import interval
 from taxeld_training.progress import Tell
-from taxeld_training.samplers.candidates import interval
 
 STAGE, PAIRS = "trials", "pairs"
 FOAMS = {

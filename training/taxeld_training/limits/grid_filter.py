@@ -28,7 +28,6 @@ DROP_NATS = 14.0  # a cell whose best pose is this far below the belief no longe
 COARSE = 0.5  # information in a cell from which it is halved: an extent of 2.4 sd
 SHARE = 3e-4  # share of the belief; a cell that cannot weigh more may stay coarse
 CELLS = 60_000  # most cells; beyond them none is halved
-TOUCH_SIGMAS = 5.0  # a reading of so many σ is a touch: one of 3·10⁶ silent taxels reads as much
 SLACK_FROM = 3  # contacts: fewer agree with any slack
 PICKED = 32 * MODE_CANDIDATES  # poses among which modes are sought
 RECENT = 3  # contacts; the strongest of their touches is tiled, as a weak one may be noise
@@ -50,14 +49,12 @@ class GridFilter:
     not be zero. The same scans give the same belief.
     """
 
-    def __init__(self, model: ObservationModel, noise: Noise, slack: Slack | None = None) -> None:
-        """`slack`: by how much scans may be off, as the estimator has it; none at all if it is not
-        given."""
+    def __init__(self, model: ObservationModel, noise: Noise, slack: Slack) -> None:
+        """`slack`: by how much scans may be off, as the estimator has it."""
         self.metric = PoseMetric(model.scene)
-        self.slack = slack or Slack()
+        self.slack = slack
         self._model = model
         self._likelihood = CellLikelihood(model, noise)
-        self._touch = TOUCH_SIGMAS * noise.sigma
         self._scans: list[GridScan] = []
         self._scale = 0  # index into SCALES of the likeliest; the least scale has the fewest cells
         self._weighed = 0  # scans that the cells have taken
@@ -79,29 +76,13 @@ class GridFilter:
         cells = self._settled()
         return cells.weight if len(cells) else np.empty(0)
 
-    def update(
-        self, scan: Observation, *, touched: bool | None = None, contact: int | None = None
-    ) -> None:
-        """Learn from a scan.
-
-        `touched` says whether the object touches the skin, where that is known; None leaves it to
-        the readings. `contact` is the number of the contact that it is of, or that was last; None:
-        each touch is one. The work is done when the belief is asked for.
-        """
-        if touched is None:
-            touched = bool(scan.z.max(initial=0.0, where=scan.live) > self._touch)
-        if contact is None:
-            contact = (self._scans[-1].contact if self._scans else 0) + touched
+    def update(self, scan: Observation, contact: int, *, touched: bool) -> None:
+        """Learn from a scan of the contact with a number, or, if the object does not touch the
+        skin, after it. The work is done when the belief is asked for."""
         self._scans.append(GridScan(scan, touched, contact))
 
-    def estimate(self) -> tuple[Poses, Poses]:
-        """The mean of the heaviest mode (3,) and of the whole belief (3,), as the daemon's are.
-
-        Raises:
-            ValueError: nothing was touched yet.
-        """
-        if not len(self):
-            raise ValueError("no estimate before the first touch")
+    def estimate(self) -> Poses:
+        """The mean (3,) of the heaviest mode, as the daemon's is; there is a belief."""
         # Modes are sought around the heaviest of given poses. Those of the heaviest cells would all
         # be in one peak, so poses of equal weight are picked evenly through the belief, in an order
         # that spreads the candidates, the first of them, as evenly.
@@ -114,8 +95,7 @@ class GridFilter:
         modes = self.metric.modes(
             picked, equal, MODE_RADIUS_M * self.metric.scale, MODES_MAX, MODE_CANDIDATES
         )
-        best = modes[0].pose
-        return best, self.metric.mean(pose, weight, best)[0]
+        return modes[0].pose
 
     def _settled(self) -> Cells:
         """The cells, weighed by all scans."""

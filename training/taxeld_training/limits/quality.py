@@ -28,26 +28,18 @@ TIMED_CALLS = 30
 class Reference:
     """Readings with draws of their exact posteriors, made once and used for every sampler."""
 
-    truth: Poses  # (n, 3) true poses
     z: Floats  # (n, M) readings as a filter sees them
     live: Bools  # (n, M) taxels that are not dead
     exact: Floats  # (n, 2 · SAMPLES, 3) draws: one half to measure to, one for the floor
     ess: Floats  # (n,) effective contacts behind the draws of each reading
     length_m: float
     left_out: int  # readings whose posteriors rest on too few contacts
-    ms: float  # CPU time of one exact posterior
-
-    @property
-    def floors(self) -> Floats:
-        """(readings,) energy distances of two sets of exact draws: zero but for chance."""
-        return np.array(
-            [energy_distance(e[SAMPLES:], e[:SAMPLES], self.length_m) for e in self.exact]
-        )
 
     @property
     def floor(self) -> float:
-        """Mean of the floors: how far off zero chance alone puts a mean over these readings."""
-        return float(self.floors.mean())
+        """Mean energy distance of two sets of exact draws: zero but for chance."""
+        found = [energy_distance(e[SAMPLES:], e[:SAMPLES], self.length_m) for e in self.exact]
+        return float(np.mean(found))
 
     @property
     def error(self) -> float:
@@ -73,31 +65,24 @@ def reference(
     contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
     exact = ExactPosterior(contacts, model.layout, noise), Dense(model, noise, rng)
     drawn = read(model, noise, readings, rng)
-    kept: list[tuple[Poses, Floats, Bools, Poses, float]] = []
-    spent_s = 0.0
+    kept: list[tuple[Floats, Bools, Poses, float]] = []
     made = jobs.beside(_draws, exact, list(zip(drawn, rng.spawn(readings), strict=True)), workers)
-    for done, (pose, seen, (draws, took_s)) in enumerate(zip(drawn.pose, drawn, made, strict=True)):
+    for done, (seen, draws) in enumerate(zip(drawn, made, strict=True)):
         progress(EXACT_STAGE, done / readings)
-        spent_s += took_s
         if draws.ess >= LIMIT_ESS:
-            kept.append((pose, seen.z, seen.live, draws.pose, draws.ess))
+            kept.append((seen.z, seen.live, draws.pose, draws.ess))
     progress(EXACT_STAGE, 1.0)
-    left_out, ms = readings - len(kept), spent_s / readings * 1e3
-    truth, z, live, draws_of, ess = (np.array(each) for each in zip(*kept, strict=True))
-    return Reference(truth, z, live, draws_of, ess, model.scene.size, left_out, ms)
+    z, live, exact_draws, ess = (np.array(each) for each in zip(*kept, strict=True))
+    return Reference(z, live, exact_draws, ess, model.scene.size, readings - len(kept))
 
 
 def _draws(
     exact: tuple[ExactPosterior, Dense], of: tuple[Observation, np.random.Generator]
-) -> tuple[Draws, float]:
-    """Draws for a reading, and the CPU time that they took [s]: by the bank and, where that is too
-    thin, by contacts made for the reading."""
+) -> Draws:
+    """Draws for a reading: by the bank and, where that is too thin, by contacts made for it."""
     (bank, dense), (seen, rng) = exact, of
-    start = time.thread_time()
     draws = bank.sample(seen, 2 * SAMPLES, rng)
-    if draws.ess < THIN_ESS:
-        draws = dense.sample(seen, 2 * SAMPLES, rng, bank)
-    return draws, time.thread_time() - start
+    return draws if draws.ess >= THIN_ESS else dense.sample(seen, 2 * SAMPLES, rng, bank)
 
 
 def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Floats:

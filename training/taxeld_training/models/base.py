@@ -26,7 +26,7 @@ class NetworkConfig:
 class Model(nn.Module, ABC):
     """A network for p(pose | touch): it can be trained, and run as one graph."""
 
-    noise_steps = 1  # noises a sample takes: the first axis of the `noise` input
+    steps = 1  # noises a sample takes: the first axis of the `noise` input
     multiply_adds: int  # operations once a touch
     multiply_adds_each: int  # operations once a hypothesis (and step)
 

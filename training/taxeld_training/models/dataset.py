@@ -115,23 +115,20 @@ def _felt(z: Tensor, floor: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class SimulatedReadings:
-    """n readings: poses (n, 3) in the sensor frame; z, live, floor and residue (n, M)."""
+    """n readings: z, live, floor and residue (n, M)."""
 
-    pose: NDArray[np.float64]
     z: NDArray[np.float64]
     live: NDArray[np.bool_]
     floor: NDArray[np.float64]
     residue: NDArray[np.float64]
 
     def __len__(self) -> int:
-        return len(self.pose)
+        return len(self.z)
 
     def __iter__(self) -> Iterator[Observation]:
         """Each as evidence, by a sensor at the origin."""
-        for z, live, floor, residue in zip(
-            self.z, self.live, self.floor, self.residue, strict=True
-        ):
-            yield Observation(np.zeros(3), z, live, floor, residue)
+        for each in zip(self.z, self.live, self.floor, self.residue, strict=True):
+            yield Observation(np.zeros(3), *each)
 
 
 def read(
@@ -148,9 +145,8 @@ def read(
         z, floor, residue = (part.numpy() for part in seen)
         felt = z.any(axis=1)
         found += int(felt.sum())
-        parts.append(tuple(part[felt] for part in (touches.pose, z, live, floor, residue)))
-    pose, z, live, floor, residue = (np.concatenate(part)[:n] for part in zip(*parts, strict=True))
-    return SimulatedReadings(pose, z, live, floor, residue)
+        parts.append(tuple(part[felt] for part in (z, live, floor, residue)))
+    return SimulatedReadings(*(np.concatenate(part)[:n] for part in zip(*parts, strict=True)))
 
 
 class Batches:
@@ -165,7 +161,6 @@ class Batches:
         seed: int,
         device: torch.device,
     ) -> None:
-        """`coordinates` (n, 3) of the touches' poses."""
         self.activation = torch.from_numpy(touches.activation).to(device)
         self.coordinates = coordinates.to(device)  # (n, 3) coordinates of touches.pose
         self._skin = SkinReader(leak, noise, seed, device)
@@ -174,10 +169,7 @@ class Batches:
     def draw(self, n: int) -> tuple[Tensor, Tensor, Tensor]:
         """z (n, M), live (n, M) and coordinates (n, 3)."""
         g, device = self._generator, self.activation.device
-        return self.read(torch.randint(len(self.coordinates), (n,), generator=g, device=device))
-
-    def read(self, i: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """z (n, M), live (n, M) and coordinates (n, 3) of chosen contacts, indices i (n,)."""
+        i = torch.randint(len(self.coordinates), (n,), generator=g, device=device)
         h = self.activation[i]
         live = self._live(h)
         z, _, _ = self._skin.read(h, live)

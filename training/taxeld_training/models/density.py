@@ -36,7 +36,6 @@ class ContactDensity(Model):
     """
 
     family = "density"
-    steps = 1
     frame: ContactFrame
     mean: Tensor  # (2,) means of φ and δ
     scale: Tensor  # (2,) standard deviations of φ and δ
@@ -53,7 +52,7 @@ class ContactDensity(Model):
         self.register_buffer("scale", torch.ones(2))
         each = (self.first, self.second, self.out)
         self.multiply_adds_each = sum(parameters_of(layer) for layer in each)
-        self.multiply_adds = view.multiply_adds + parameters_of(self) - self.multiply_adds_each
+        self.multiply_adds = parameters_of(self) - self.multiply_adds_each
 
     def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
         """Like `Model.fit_scale`: z, live (B, M), coordinates (B, 3)."""

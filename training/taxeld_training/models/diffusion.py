@@ -52,7 +52,7 @@ class Denoiser(Model):
         self.register_buffer("scale", torch.ones(4))
         each = (self.first, self.second, self.third, self.out)
         self.multiply_adds_each = sum(parameters_of(layer) for layer in each)
-        self.multiply_adds = view.multiply_adds + parameters_of(self) - self.multiply_adds_each
+        self.multiply_adds = parameters_of(self) - self.multiply_adds_each
         self.time = nn.Embedding(config.steps, 3 * w)
         self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
         nn.init.normal_(self.time.weight, std=0.1)
@@ -109,7 +109,7 @@ class DiffusionSampler(nn.Module):
     def __init__(self, denoiser: Denoiser) -> None:
         super().__init__()
         self.model = denoiser
-        self.steps = self.noise_steps = denoiser.config.steps
+        self.steps = denoiser.config.steps
         self.alpha_bar: list[float] = (
             denoiser.alpha_bar.tolist()
         )  # numbers, so that they are constants of the graph

@@ -45,7 +45,7 @@ def export(sampler: AnySampler, taxels: int, path: Path, metadata: Mapping[str, 
         min=0.0
     ) * 5.0  # a fifth of the taxels is pressed
     live = torch.ones(1, taxels)
-    noise = torch.randn(sampler.noise_steps, TRACED, 4, generator=generator)
+    noise = torch.randn(sampler.steps, TRACED, 4, generator=generator)
     sampler = rounded(sampler)
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # torch warns that this exporter is old

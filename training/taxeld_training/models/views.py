@@ -19,8 +19,6 @@ WINDOW_RAD = 0.7  # half width of the window; a flat face pressed 5 mm deep cove
 class Plain(nn.Module):
     """The taxels as they are: the paper's."""
 
-    multiply_adds = 0
-
     def __init__(self, layout: Layout) -> None:
         super().__init__()
         self.width = 2 * len(layout)
@@ -36,7 +34,6 @@ class Turned(nn.Module):
     Exact: a ring of equal columns has the same readings when turned by a column.
     """
 
-    multiply_adds = 0
     turns: Tensor  # (n, M) taxels after each turn
     sector: Tensor  # (M,) turn that brings each taxel to angle 0
 
@@ -64,7 +61,6 @@ class Centred(nn.Module):
     too, since silence of a bare side is no evidence.
     """
 
-    multiply_adds = 0  # four cells a taxel, negligible beside the encoder
     angle: Tensor  # (M,) [rad] direction of each taxel
     row: Tensor  # (2, M) the grid's rows below and above each
     rise: Tensor  # (2, M) each taxel's share in these rows

@@ -37,9 +37,9 @@ def play(case: Case, seed: int) -> list[Touch]:
                 continue
             new = news.on_scan(activation.t, scan)
             if new is not None:
-                grid.update(new, touched=new.is_contact, contact=news.contacts)
+                grid.update(new, news.contacts, touched=new.is_contact)
         size = len(grid) if touch + 1 == case.touches else 0
-        pose = grid.estimate()[0] if size else moment.truth
+        pose = grid.estimate() if size else moment.truth
         error_mm = round(1e3 * add_m(model.scene, pose, moment.truth)[1], 4) if size else NAN
         ms = round(1e3 * (time.process_time() - began_s), 3)
         began_s = time.process_time()

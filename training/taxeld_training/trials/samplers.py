@@ -1,7 +1,7 @@
 """Samplers of the questions: trained once and kept, and held against the exact posterior."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,13 +15,13 @@ from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
 from taxeld_hil.trials.case import Case
 from taxeld_hil.world.subjects import Subject, model_of
+from taxeld_training.candidates import interval
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.variants import Variant
-from taxeld_training.samplers.candidates import interval
 from taxeld_training.trials.questions import Question
-from taxeld_training.trials.statistics import rounded
+from taxeld_training.trials.score import rounded
 
 Row: TypeAlias = dict[str, Any]
 Wanted: TypeAlias = tuple[Subject, tuple[str, ...], str]  # an object, a skin, a proposal
@@ -72,9 +72,9 @@ def train(subject: Subject, skin: str, variant: Variant, file: str) -> dict[str,
     """Train a sampler for an object on a skin and keep it in `file`."""
     model, rng = model_of(subject, skin), np.random.default_rng(variant.training.seed)
     touches = simulate(model, variant.training.contacts, rng)
-    sampler = variants.sampler_of(variants.fit(variant, model, IN_USE, touches))
+    sampler = variants.sampler_of(variants.fit([variant], model, IN_USE, touches)[0])
     part = Path(file).with_suffix(".part")
-    gap = export.export(sampler, len(model.layout), part, variant.describe())
+    gap = export.export(sampler, len(model.layout), part, asdict(variant))
     part.replace(file)
     return {"differs": gap}
 

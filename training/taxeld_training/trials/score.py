@@ -6,7 +6,7 @@ than the touched one has no error and is never found.
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, TypeAlias
@@ -18,10 +18,10 @@ from taxeld.arrays import Bools, Floats, Index
 from taxeld_hil.integrity import Claims, is_sure
 from taxeld_hil.trials.play import Touch
 from taxeld_training.trials.questions import Cell, Labels
-from taxeld_training.trials.statistics import by_seeds, of_share, rounded
 
 Row: TypeAlias = dict[str, Any]  # {"of": labels, figure: …, "ci": {figure: interval}}
 
+LEVEL, DRAWS = 0.95, 400  # of intervals: by a bootstrap, of so many draws
 BINS = 10  # of p
 QUIET = 0.1  # share of the quickest seconds that tell what a quiet machine takes
 COLUMNS = {name: k for k, name in enumerate(Touch._fields) if name not in ("objects", "status")}
@@ -88,17 +88,17 @@ def figures(group: Sequence[Played], quiet: dict[str, float]) -> Row:
     row: Row = {"seeds": len(set(seeds.tolist())), **of.by_touch()}
     row["to_sure"] = round(float(to_sure(of).mean()), 3)
     row["misleading_at"] = of.misleading.sum(axis=0).tolist()
-    ci: Row = {"to_sure": rounded(by_seeds(np.mean, to_sure(of), seeds), 3)}
+    ci: Row = {"to_sure": by_seeds(np.mean, to_sure(of), seeds, 3)}
     for name, rule in (("found", of.found), ("found_and_sure", of.found_and_sure)):
-        ci[name] = [_share(after, np.ones(len(after)), seeds) for after in rule.T]
-    ci["misleading"] = _share(of.misleading.sum(axis=1), of.sure.sum(axis=1), seeds)
+        ci[name] = [of_share(after, np.ones(len(after)), seeds) for after in rule.T]
+    ci["misleading"] = of_share(of.misleading.sum(axis=1), of.sure.sum(axis=1), seeds)
     row |= {"bins": bins(p.ravel(), of.found.ravel())}
     row["estimates"], row["ece"] = p.size, calibration_error(row["bins"])
     if any(len(each.known) > 1 for each in group):
         row |= _identity(group, of)
     if np.isfinite(path_mm := _all(group, "path_mm")[:, -1]).any():
         row["path_mm"] = np.quantile(path_mm, (0.1, 0.5, 0.9)).round(2).tolist()
-        ci["path_mm"] = rounded(by_seeds(lambda v: float(np.median(v)), path_mm, seeds), 2)
+        ci["path_mm"] = by_seeds(lambda v: float(np.median(v)), path_mm, seeds, 2)
     spent_ms = np.concatenate([_scaled_ms(each, quiet) for each in group])
     row["ms"] = round(float(np.median(spent_ms)), 3)
     row["ms_at"] = np.median(spent_ms, axis=0).round(3).tolist()
@@ -106,6 +106,46 @@ def figures(group: Sequence[Played], quiet: dict[str, float]) -> Row:
     if (guided_ms > 0.0).any():
         row["guide_ms"] = np.quantile(guided_ms[guided_ms > 0.0], (0.5, 0.95)).round(2).tolist()
     return dict(without_nan({**row, "ci": ci}))
+
+
+def of_share(obeys: Floats, among: Floats, seeds: Index) -> list[float] | None:
+    """Interval of the share of `among` (n,) that `obeys` (n,) is, both counts of a trial each, with
+    seeds (n,); None of nothing.
+
+    Trials of one seed depend on each other, so seeds are drawn anew, each with all its trials. The
+    shares none and all have no spread: there each seed counts as one trial (Wilson).
+    """
+    _, at = np.unique(seeds, return_inverse=True)
+    part, all_of = (np.bincount(at, each) for each in (obeys, among))
+    if not all_of.sum():
+        return None
+    if part.sum() in (0.0, all_of.sum()):
+        total = int((all_of > 0.0).sum())
+        of_all = stats.binomtest(total if part.sum() else 0, total)
+        return rounded(of_all.proportion_ci(LEVEL, "wilson"))
+    pick = np.random.default_rng(0).integers(len(part), size=(DRAWS, len(part)))
+    drawn_of = all_of[pick].sum(axis=1)
+    return _middle((part[pick].sum(axis=1) / np.maximum(drawn_of, 1.0))[drawn_of > 0.0])
+
+
+def by_seeds(
+    figure: Callable[[Floats], float], values: Floats, seeds: Index, digits: int = 4
+) -> list[float]:
+    """Interval of a figure of trials' values (n,), with seeds (n,) as in `of_share`."""
+    rng, (own, at) = np.random.default_rng(0), np.unique(seeds, return_inverse=True)
+    of = [np.flatnonzero(at == k) for k in range(len(own))]
+    draws = (rng.integers(len(own), size=len(own)) for _ in range(DRAWS))
+    drawn = [figure(values[np.concatenate([of[k] for k in draw])]) for draw in draws]
+    return _middle(drawn, digits)
+
+
+def rounded(interval: Iterable[float], digits: int = 4) -> list[float]:
+    """An interval as rows have it."""
+    return [round(float(end), digits) for end in interval]
+
+
+def _middle(drawn: Sequence[float] | Floats, digits: int = 4) -> list[float]:
+    return rounded(np.quantile(drawn, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL]), digits)
 
 
 def to_sure(of: Claims) -> Floats:
@@ -193,11 +233,6 @@ def _place(each: Played) -> str:
 
 def _all(group: Sequence[Played], name: str) -> Floats:
     return np.concatenate([each.column(name) for each in group])
-
-
-def _share(obeys: Floats, among: Floats, seeds: Index) -> list[float] | None:
-    found = of_share(obeys, among, seeds)
-    return None if found is None else rounded(found)
 
 
 def without_nan(value: Any) -> Any:

@@ -88,7 +88,7 @@ def make(
     touches = simulate(model, most, rng, partial(progress, CONTACTS))
     torch.set_num_threads(1)  # more would wait for one another
     told = partial(progress, TRAINING)
-    networks = variants.fit_beside(given.variants, model, IN_USE, touches, told)
+    networks = variants.fit(given.variants, model, IN_USE, touches, told)
     how = {"bank": given.bank, "workers": WORKERS}
     to = quality.reference(model, IN_USE, given.readings, rng, **how, progress=progress)
     samplers: dict[str, dict[str, Any]] = {}
@@ -157,7 +157,7 @@ def _exported(
     variant: Variant, network: Model, model: ObservationModel, folder: Path
 ) -> tuple[Path, dict[str, Any]]:
     """Export the sampler of a trained model into `folder`; → its file, and what describes it."""
-    metadata = variant.describe() | {
+    metadata = asdict(variant) | {
         "noise": asdict(IN_USE),
         "layout": model.layout.digest,
         "normalisation": {k: getattr(network, k).tolist() for k in ("mean", "scale")},
