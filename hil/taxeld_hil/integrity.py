@@ -32,14 +32,9 @@ def is_sure(p: ArrayLike) -> Bools:
     return np.asarray(np.greater_equal(p, SURE))
 
 
-def is_beyond(error_mm: ArrayLike, radius_mm: ArrayLike) -> Bools:
-    """Whether estimates are farther off than their radius, all (…,), or of another object."""
-    return np.asarray(~np.less_equal(error_mm, radius_mm))
-
-
 def is_misleading(p: ArrayLike, error_mm: ArrayLike, radius_mm: ArrayLike) -> Bools:
     """Whether estimates are sure and not found, or sure and beyond their radius, all (…,)."""
-    return is_sure(p) & (~is_found(error_mm) | is_beyond(error_mm, radius_mm))
+    return is_sure(p) & ~(is_found(error_mm) & np.less_equal(error_mm, radius_mm))
 
 
 @dataclass(frozen=True)
