@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld.advice.advice import Advice, Approach
+from taxeld.advice.advice import Approach
 from taxeld.arrays import Floats
 from taxeld.model import contacts, se2
 from taxeld_hil import cli
-from taxeld_hil.rig.rig import Rig
 from taxeld_hil.world import robot
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.world import IDLE_S, World
@@ -75,24 +74,10 @@ def test_where_there_is_nothing_it_goes_to_the_end_and_back() -> None:
     assert np.allclose(path.end, missed.before)
 
 
-def test_it_follows_no_advice_from_before_the_end_of_its_last_touch() -> None:
-    rig, t = Rig(ADVISED, 0), IDLE_S + 0.1
-    advice = Advice(0, (approach(0.0),), is_enough=False)
-    rig.advise(advice, t, t)
-    begun = rig.path
-    assert len(begun.touched) == 1
-    end_s = IDLE_S + begun.duration_s
-    rig.advise(advice, t, end_s + 1.0)
-    rig.advise(advice, end_s - 0.1, end_s + 1.0)
-    assert rig.path is begun
-    rig.advise(advice, end_s + 0.1, end_s + 0.2)
-    assert len(rig.path.touched) == 2
-
-
 @pytest.mark.check
 def test_few_touches_find_the_object(tmp_path: Path) -> None:
     run, _ = passing(ADVISED, tmp_path)
-    assert len(run.rig.path.touched) <= ADVISED.contacts
+    assert len(run.rig.world.paths[0].touched) <= ADVISED.contacts
 
 
 def test_in_real_time_no_robot_is_advised(tmp_path: Path) -> None:

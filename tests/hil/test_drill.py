@@ -40,7 +40,7 @@ def test_a_run_has_the_layout_and_the_depth_that_its_bundle_was_built_for(
     run = FakeRun(scenario.load("demo").touching(str(box)).on(foam), seed=0)
     assert run.config.skin.full_scale_depth_m == run.rig.model.depth_max_m == depth_mm / 1e3
     assert run.skin.name == RING
-    seen = se2.compose(se2.inverse(run.rig.path.pose), run.rig.world.truth[None])
+    seen = se2.compose(se2.inverse(run.rig.world.paths[0].pose), run.rig.world.truth[None])
     deepest = max(float(run.rig.world.skins[0].press(one[None], 0.0).max()) for one in seen)
     assert 0.3 < deepest / run.rig.scenario.full_scale_counts < 2.0
     passing(run.scenario)

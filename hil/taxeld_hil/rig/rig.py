@@ -7,15 +7,10 @@ scenario time stands still at BEFORE_S.
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
 
-import numpy as np
-
-from taxeld.advice.advice import Advice, Approach
-from taxeld.arrays import Poses
 from taxeld.errors import SetupError
 from taxeld_hil.rig.faults import Injector, PoseRow
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
-from taxeld_hil.world.robot import RobotPath
 from taxeld_hil.world.world import LINK_SEEDS, World, world_of
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.array import ArrayFrame, Group
@@ -51,8 +46,7 @@ class Rig:
         self.world = world or world_of(scenario, seed)
         self._link = link
         self.model = self.world.links[link]
-        self.scenario, self._waits = scenario, scenario.advised
-        self._contacts, self._tried = -1, list[Poses]()  # approaches since so many contacts
+        self.scenario = scenario
         self._taxel_uids: list[int] = self.model.layout.uid.tolist()
         self.line = scenario.transport == "native"
         self.is_array = scenario.transport == "array"
@@ -79,37 +73,6 @@ class Rig:
         seed += LINK_SEEDS * link
         self._injector = Injector(scenario.fault, seed, self.ledger, of_modules, taxels)
 
-    @property
-    def path(self) -> RobotPath:
-        """As far as it is planned."""
-        return self.world.paths[self._link]
-
-    def advise(self, advice: Advice, of_t: float, t: float) -> None:
-        """Have a robot that waits for it follow an advice on the belief at scenario time `of_t`;
-        an advice that is older than its last touch is left."""
-        if not self.wants_advice(of_t):
-            return
-        is_over = advice.is_enough or not advice.approaches
-        self._waits = self.world.touches < self.scenario.contacts and not is_over
-        if self._waits:
-            self.world.touch(self._best(advice), t)
-
-    def _best(self, advice: Advice) -> Approach:
-        """The best approach that was not tried since the last contact."""
-        if advice.contacts != self._contacts:
-            self._contacts, self._tried = advice.contacts, []
-
-        def is_new(one: Approach) -> bool:
-            return not any(np.allclose(one.before, was) for was in self._tried)
-
-        found = next(filter(is_new, advice.approaches), advice.approaches[0])
-        self._tried.append(found.before)
-        return found
-
-    def wants_advice(self, of_t: float) -> bool:
-        """Whether a robot waits for advice on the belief at scenario time `of_t`."""
-        return self._waits and of_t > self.world.duration_s
-
     def _check(self, fault: Fault, number: int) -> None:
         """Raises SetupError where a fault names a module or taxel that the skin does not have."""
         modules, taxels = len(self.modules), len(self._taxel_uids)
@@ -123,7 +86,8 @@ class Rig:
         """To the end of the path, and of the last fault's recovery."""
         ends = [fault.end_s for fault in self.scenario.fault]
         last = max(ends, default=0.0) + self.scenario.expect.recovery_s + SETTLE_S
-        rest_s = ADVICE_S if self._waits else self.scenario.rest_s
+        waits = self.scenario.advised and self.world.touches < self.scenario.contacts
+        rest_s = ADVICE_S if waits else self.scenario.rest_s
         return max(self.world.duration_s + rest_s, last if ends else 0.0)
 
     def taxels_of(self, fault: Fault) -> list[int]:

@@ -13,7 +13,6 @@ from typing import Any
 
 import msgpack
 
-from taxeld.commands.advise import Adviser
 from taxeld.config import file as config_file
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
@@ -35,6 +34,7 @@ from taxeld_hil.rig.rig import Rig, rigs_of
 from taxeld_hil.run.session_run import SessionRun, write_truth
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
+from taxeld_hil.trials.guides import BeliefGuide
 from taxeld_hil.world import subjects
 from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import BROADCAST, Command, Packet
@@ -221,7 +221,6 @@ class FakeRun(SessionRun):
         self._kept: Sequence[SkinState | None] = [None] * len(self.rigs)
         self.daemon: FakeDaemon | None = self._born()
         self._recorder: Recorder | None = None
-        self._adviser = Adviser(self.config, settings.REACH) if scenario.advised else None
         self._next_health_s = 0.0
 
     def run(self) -> None:
@@ -264,8 +263,9 @@ class FakeRun(SessionRun):
         self.daemon.tick(t)
         pipeline = self.daemon.pipeline
         e = pipeline.estimate_at(t)
-        if self._adviser and self.rig.wants_advice(e.t):
-            self.rig.advise(self._adviser.advise(pipeline.estimator.memory), e.t, t)
+        world, asked = self.rig.world, self.scenario
+        if asked.advised and world.touches < asked.contacts and e.t > world.duration_s:
+            self._guide.lead(world, t)  # the belief has learned from the touch before
         if self.published is not None:
             add(self.published, t, topics.ESTIMATE, msgpack.packb(self.daemon.message(e, t)))
         if t >= self._next_health_s:
@@ -304,4 +304,6 @@ class FakeRun(SessionRun):
             self.daemon = self._born()
 
     def _born(self) -> FakeDaemon:
-        return FakeDaemon(self.config, self.scenes, self.lines, self._kept)
+        born = FakeDaemon(self.config, self.scenes, self.lines, self._kept)
+        self._guide = BeliefGuide("advised", born.pipeline.estimator, self.seed)
+        return born

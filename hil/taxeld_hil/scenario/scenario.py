@@ -83,7 +83,7 @@ class Scenario:
     one_bus: bool = key(default=False, doc="whether the hubs of several links are on one bus")
     transport: str = key("slcan", one_of(*TRANSPORTS), "how the skin is reached in simulation")
     advised: bool = key(False, doc="whether the robot follows the daemon's advice instead")
-    contacts: int = key(8, between(1, 1000), "presses, spread around the object; advised: at most")
+    contacts: int = key(8, between(1, 1000), "presses, spread around the object")
     press_min_m: float = key(0.002, between(0.0005, 0.005), "least depth of a press, of 5 mm foam")
     press_max_m: float = key(0.0045, between(0.0005, 0.005), "most")
     hold_s: float = key(0.3, between(0, 3600), "how long a press is held")

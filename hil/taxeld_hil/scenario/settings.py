@@ -4,12 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from taxeld.advice.lines import Reach
 from taxeld.config.tables import SensorPoseConfig
 from taxeld.proposals import bundle
 from taxeld_hil.scenario.scenario import Scenario
-
-REACH = Reach(box_m=(-0.6, 0.6, -0.6, 0.6))  # of an advised robot
 
 
 def text(
