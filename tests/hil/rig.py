@@ -10,7 +10,7 @@ import numpy as np
 from taxeld.arrays import Floats, Poses
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
-from taxeld.model import se2
+from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import response
 from taxeld.proposals import bundle
@@ -20,7 +20,6 @@ from taxeld_hil.grade.grade import Grade
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.plan import Circle
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
@@ -76,19 +75,20 @@ class PressedSkin:
 
     @classmethod
     def drawn(cls, model: ObservationModel, seed: int, presses: int = 20) -> "PressedSkin":
-        rng, taxels = np.random.default_rng(seed), len(model.layout)
-        circle, held = Circle(model, PLACED, model.scene.size), []
-        for k in range(presses):  # round the object, with every side of the skin in turn
-            angle = 2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / presses
-            side = 2.0 * np.pi * GOLDEN * k
-
-            def firm() -> tuple[float, float]:
-                return rng.uniform(0.0034, 0.0048), 0.35 * rng.uniform(-1.0, 1.0) * model.scene.size
-
-            held.append(circle.towards(angle, angle + np.pi - side, firm)[3])
+        rng, taxels, scene = np.random.default_rng(seed), len(model.layout), model.scene
+        # round the object, with every side of the skin in turn
+        k = np.arange(presses)
+        angle = 2.0 * np.pi * (k + rng.uniform(-0.3, 0.3, presses)) / presses
+        aside = 0.35 * scene.size * rng.uniform(-1.0, 1.0, presses)
+        c, s = np.cos(angle), np.sin(angle)
+        x, y = scene.centre[:, None] + scene.size * np.stack([c, s]) + aside * np.stack([-s, c])
+        yaw = np.pi + angle - 2.0 * np.pi * GOLDEN * k
+        depth_m = rng.uniform(0.0034, 0.0048, presses)
+        beside = contacts.pose_of_axis(x, y, -yaw)
+        held, _ = contacts.project(scene, model.layout.radius_m, beside, depth_m)
         return cls(
             model,
-            np.array(held),
+            se2.compose(PLACED, se2.inverse(held)),
             rng.uniform(-1.0, 1.0, 3) * [0.004, 0.004, 0.07],
             float(rng.uniform(12_000.0, 30_000.0)),
             np.exp(0.15 * rng.standard_normal(taxels)),

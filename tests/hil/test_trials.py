@@ -10,6 +10,7 @@ import pytest
 from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
+from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle, choice
 from taxeld_hil.run.fake import FakeRun
@@ -22,6 +23,7 @@ from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.subjects import Subject
 from taxeld_hil.world.world import AWAY, World, world_of
 from tests.hil.rig import MODEL, MODULES, SKIN
+from tests.rig.scenes import disc, scene_of
 
 LINKS = scenario.load("links")
 TOUCHES = 6
@@ -69,11 +71,20 @@ def test_both_drivers_give_the_same_estimates_where_the_wire_loses_nothing(
     assert wired[-1].contacts == subject.contacts
 
 
-def made(seed: int = 3, guide: str = "random", **given: Any) -> World:
+def made(
+    seed: int = 3, guide: str = "random", model: ObservationModel = MODEL, **given: Any
+) -> World:
     """A world of presses of the box."""
-    found = World([MODEL], [MODULES], Conditions(**{"robot_m": 0.0} | given), seed)
+    found = World([model], [MODULES], Conditions(**{"robot_m": 0.0} | given), seed)
     found.plan(guide, TOUCHES)
     return found
+
+
+def kettle() -> ObservationModel:
+    """A can, and a handle that stands apart from it at the heights of the taxels."""
+    body, grip = disc(0.03), disc(0.01)
+    scene = scene_of(lambda x, y: np.minimum(body(x, y), grip(x - 0.1, y)), SKIN, 1)
+    return ObservationModel(replace(scene, outline=0.6 * scene.outline), SKIN, 0.005)
 
 
 def seen(world: World, t: float) -> Poses:
@@ -97,15 +108,15 @@ def held(world: World) -> Poses:
 def gaps(world: World, times: Floats) -> Floats:
     """Between the link and the object [m]."""
     poses = np.array([seen(world, t) for t in times])
-    return contacts.clearance(MODEL.scene, SKIN.radius_m, poses)
+    return contacts.clearance(world.links[0].scene, SKIN.radius_m, poses)
 
 
 @pytest.mark.parametrize("guide", ["random", "around"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "model"), [(0, MODEL), (1, MODEL), (2, kettle())])
 def test_a_touch_is_one_contact_no_deeper_than_asked_and_the_way_there_is_clear(
-    seed: int, guide: str
+    seed: int, model: ObservationModel, guide: str
 ) -> None:
-    world = made(seed, guide, press=(0.4, 0.9))
+    world = made(seed, guide, model, press=(0.4, 0.9))
     times = np.arange(0.0, world.duration_s, 0.005)
     gap, touched = gaps(world, times), world.touched_s()
     assert len(touched) == TOUCHES
@@ -114,7 +125,7 @@ def test_a_touch_is_one_contact_no_deeper_than_asked_and_the_way_there_is_clear(
     pressed = gap < 0.0
     assert np.count_nonzero(np.diff(pressed.astype(int)) == 1) == TOUCHES
     assert -0.0052 < gap.min() < -0.002
-    assert max(MODEL.activation(held(world)).max(axis=1)) > plan.TOUCH
+    assert max(model.activation(held(world)).max(axis=1)) > plan.TOUCH
     step = np.diff([world.sensor(t)[:2] for t in times], axis=0)
     assert np.linalg.norm(step, axis=1).max() < 0.005 * 0.251
 

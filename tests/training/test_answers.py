@@ -95,7 +95,7 @@ def test_guides_are_compared_from_the_same_first_touch(block: Path, tmp_path: Pa
     assert not any(each["guide_ms"] for each in of["straight"])
 
 
-@pytest.mark.parametrize("motion", ["push", "none", "told"])
+@pytest.mark.parametrize("motion", ["push", "none"])
 def test_a_push_follows_its_touches_and_has_the_error_on_its_way(motion: str) -> None:
     *before, last = play(Case((Subject("box"),), guide="push", motion=motion, touches=2), 1)
     assert [math.isnan(touch.path_mm) for touch in (*before, last)] == [True, True, False]

@@ -27,11 +27,6 @@ def even(friction: float = 0.4) -> Ground:
     return Ground(points, np.full(16, 1.0 / 16.0), friction)
 
 
-def slide(ground: Ground, contact: Floats, wanted: Floats, inwards: Floats) -> Floats:
-    """Of one contact, as `Ground.slide`."""
-    return ground.slide(contact[None], wanted[None], inwards[None])[0]
-
-
 def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> float:
     seen = se2.compose(se2.inverse(sensor), pose)[None]
     return -float(gap_m(model, seen)[0])
@@ -68,7 +63,7 @@ def test_the_object_gives_way_until_friction_holds_it_and_never_moves_farther_th
 def test_a_push_through_the_centre_does_not_turn_the_object(ring_model: ObservationModel) -> None:
     before = np.array([0.03 + 0.04 - DEPTH_M, 0.0, 0.0])
     after = before - [STEP_M, 0.0, 0.0]
-    (pose,), _ = gave_way(ring_model, even(), np.zeros((1, 3)), before, after)
+    pose = gave_way(ring_model, even(), np.zeros(3), before, after)
     assert np.allclose(pose, [-STEP_M, 0.0, 0.0], atol=[2e-4, 2e-4, 2e-3])
 
 
@@ -90,7 +85,7 @@ def test_an_object_slides_with_the_least_power_that_follows_the_push() -> None:
             return float(given.load @ np.hypot(shift[0] - turn * y, shift[1] + turn * x))
 
         best = optimize.minimize_scalar(power, bounds=(-0.2, 0.2), method="bounded")
-        motion = slide(ground, contact, wanted, np.array([-1.0, 0.0]))
+        motion = ground.slide(contact, wanted, np.array([-1.0, 0.0]))
         assert power(float(motion[2])) <= power(float(best.x)) * 1.01
         held = motion[:2] + motion[2] * np.array([-contact[1], contact[0]])
         assert np.allclose(held, wanted, atol=1e-9)
@@ -99,11 +94,11 @@ def test_an_object_slides_with_the_least_power_that_follows_the_push() -> None:
 def test_a_contact_slips_where_its_friction_is_too_small() -> None:
     contact, wanted = np.array([0.03, 0.0]), np.array([-0.001, 0.002])  # mostly sideways
     inwards = np.array([-1.0, 0.0])
-    stuck = slide(even(100.0), contact, wanted, inwards)
-    slips = slide(even(0.2), contact, wanted, inwards)
+    stuck = even(100.0).slide(contact, wanted, inwards)
+    slips = even(0.2).slide(contact, wanted, inwards)
     for motion, holds in ((stuck, True), (slips, False)):
         held = motion[:2] + motion[2] * np.array([-contact[1], contact[0]])
         assert held @ inwards == pytest.approx(0.001)  # it follows all the same
         assert np.allclose(held, wanted) == holds
-    smooth = slide(even(0.0), contact, wanted, inwards)
+    smooth = even(0.0).slide(contact, wanted, inwards)
     assert np.allclose(smooth, [-0.001, 0.0, 0.0], atol=1e-6)

@@ -26,7 +26,7 @@ from taxeld_hil.world.subjects import Subject, model_of
 DEFAULT_LAYOUT = SkinConfig().layout
 OWN_SEEDS = 2**31  # added to a trial's seed, so that a filter does not draw what its trial drew
 GUIDES = "random", "around", "straight", "advised", "push"
-MOTIONS = "none", "push", "told"  # of the filter; `told`: it knows what the object rests on
+MOTIONS = "none", "push"  # of the filter
 KINDS = {"paper": "ddpm"}  # of a sampler that a method names otherwise
 
 
@@ -110,7 +110,7 @@ class Case:
                 particles_max=method.particles_max or method.particles,
                 injected=method.injected,
                 injection=method.injection,
-                motion="none" if self.motion == "none" else "push",
+                motion=self.motion,
                 seed=OWN_SEEDS + seed,
             ),
         )

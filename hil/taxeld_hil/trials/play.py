@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from taxeld.arrays import Poses
-from taxeld.estimator.mixture import Mixture
 from taxeld.model import se2
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
@@ -22,7 +21,6 @@ from taxeld.proposals.samples import Samples
 from taxeld_hil.trials.calibrated import calibration_of
 from taxeld_hil.trials.case import Case
 from taxeld_hil.trials.guides import BeliefGuide
-from taxeld_hil.world.ground import by_ground
 from taxeld_hil.world.plan import PLANNED, PUSH_M
 from taxeld_hil.world.subjects import model_of, solid_of
 from taxeld_hil.world.world import World
@@ -128,9 +126,6 @@ def play(case: Case, seed: int) -> list[Touch]:
         for k in range(len(layouts))
     ]
     pipeline = Pipeline(config, layouts, models, samples, calibration=calibrations)
-    rule = pipeline.estimator.rule
-    if case.motion == "told" and isinstance(rule, Mixture):
-        rule.push = by_ground(world.ground)
     direct = Direct(world, pipeline)
     guide = None if case.guide in PLANNED else BeliefGuide(case.guide, pipeline.estimator, seed)
     found, true = [], _number(case)

@@ -4,7 +4,7 @@ Each point of the skin gives way along its normal, as deep as the solid reaches:
 the link outwards first meets the solid at a depth u. A taxel reads the mean over its electrode.
 Beside the contact the skin's cover sags, by exp(−s/λ) of u at a distance s, like a membrane on
 springs, with a λ of each taxel; where that is more than the mean, the taxel reads it. The solid is
-not filled: a wall may be thinner than the press is deep.
+filled: a wall may be thinner than the press is deep.
 """
 
 import numpy as np
@@ -20,7 +20,6 @@ MARGIN_M = 0.008  # width of the simulated skin around the taxels
 LAYER_M = 0.008  # how deep the skin can give way, or more of deeper foam
 LAYER = 1.6  # the same, in full depths
 STEP_M = 0.001  # along a ray
-PATCH_M = 0.012  # size of a patch; one distance can show that a patch is out of reach
 LEAST_M = 5e-6  # smaller sags are left out: 20 of 20 000 counts
 ELECTRODE = np.vstack([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3)])
 ELECTRODE_RADII = np.sqrt(7.0 / 12.0)  # of the outer six points: their mean distance is a disc's
@@ -53,7 +52,6 @@ class MeshSkin:
         phi, z, r = np.concatenate([on_taxel, between], axis=1)
         self._normal = np.stack([np.cos(phi), np.sin(phi)])
         self._point = np.stack([r * self._normal[0], r * self._normal[1], z])
-        self._patch, self._middle, self._widest_m = _patches(self._point, phi * r)
         self._full_m = depth_max_m
         self._layer_m = max(LAYER_M, LAYER * depth_max_m)
         self._depths = np.arange(0.0, self._layer_m + 0.5 * STEP_M, STEP_M)
@@ -91,23 +89,19 @@ class MeshSkin:
 
     def _met(self, seen: Poses) -> tuple[NDArray[np.intp], Floats]:
         """Indices (k,) of the skin's points that the solid presses, and how deep (k,) [m]."""
-        c, s = np.cos(seen[2]), np.sin(seen[2])
-        turn = np.array([[c, s], [-s, c]])
-        nothing = np.empty(0, dtype=np.intp), np.empty(0)
-        apart = self._solid.distance(_seen(self._middle, seen, turn))
-        if apart.min() > self._widest_m:
-            return nothing
-        near = np.flatnonzero((apart < self._widest_m + self._layer_m).take(self._patch))
-        point = _seen(self._point[:, near], seen, turn)
+        x, y = se2.apply(se2.inverse(seen), self._point[:2].T).T
+        off_x, off_y = x - self._solid.centre[0], y - self._solid.centre[1]
+        near = np.flatnonzero(np.hypot(off_x, off_y) < self._solid.size + self._layer_m)
+        point = np.stack([x, y, self._point[2]]).take(near, axis=1)
         gap = self._solid.distance(point)
-        if gap.min() > 0.0:  # no point of the undeformed surface is inside the solid
-            return nothing
         able = np.flatnonzero(gap <= self._layer_m)
         close, point = near[able], point[:, able]
-        inwards = -(turn @ self._normal[:, close])
-        way = point[:, :, None] + np.concatenate(
-            [inwards[:, :, None] * self._depths, np.zeros((1, len(close), len(self._depths)))]
-        )
+        if not (gap <= 0.0).any():  # no point of the undeformed surface is inside the solid
+            return close[:0], np.empty(0)
+        c, s = np.cos(seen[2]), np.sin(seen[2])
+        inwards = -np.array([[c, s], [-s, c]]) @ self._normal[:, close]
+        way = np.repeat(point[:, :, None], len(self._depths), axis=2)
+        way[:2] += inwards[:, :, None] * self._depths
         distance = self._solid.distance(way.reshape(3, -1)).reshape(len(close), -1)
         inside = distance <= 0.0
         hit = np.flatnonzero(inside.any(axis=1))
@@ -116,22 +110,6 @@ class MeshSkin:
         beyond = distance[hit, np.minimum(deepest + 1, len(self._depths) - 1)]
         part = within / np.where(beyond > within, within - beyond, 1.0)
         return close[hit], self._depths[deepest] + STEP_M * np.clip(part, 0.0, 1.0)
-
-
-def _seen(point: Floats, seen: Poses, turn: Floats) -> Floats:
-    """Points (3, n) of the sensor in the frame of an object at `seen`, turned by `turn` (2, 2)."""
-    return np.vstack([turn @ (point[:2] - seen[:2, None]), point[2:]])
-
-
-def _patches(point: Floats, around: Floats) -> tuple[NDArray[np.intp], Floats, float]:
-    """Points (3, n) in patches: the patch of each (n,), the patches' middles (3, p), and no point's
-    distance from its middle is more than the last."""
-    tile = np.floor(np.stack([around, point[2]]) / PATCH_M)
-    _, patch = np.unique(tile, axis=1, return_inverse=True)
-    count = np.bincount(patch)
-    middle = np.stack([np.bincount(patch, row) / count for row in point])
-    widest = float(np.linalg.norm(point - middle[:, patch], axis=0).max())
-    return patch, middle, widest
 
 
 def _lattice(angle: Floats, z: Floats, radius: Floats) -> Floats:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
-from taxeld.layout.layout import Layout
 from taxeld.model import se2
 
 TRAVEL_M_S = 0.25
@@ -19,8 +18,6 @@ PRESS_M_S = 0.02
 PUSH_M_S = 0.04
 STANDOFF_M = 0.03  # between the skin and the object's farthest reach, while travelling
 SLOW_FROM_M = 0.01  # before the touch
-BARE_RAD = 0.5 * np.pi  # a skin that leaves a wider arc of its link bare is turned to the object
-YAW_SPREAD_RAD = 0.5
 ARC_STEP_RAD = 0.1
 SLIP_S = 0.05  # between two places of a sensor that slips
 
@@ -72,9 +69,9 @@ class RobotPath:
 class LinkRobot:
     """One link's robot, whose path grows."""
 
-    def __init__(self, layout: Layout) -> None:
-        self._side = _side(layout)
-        self._t, self._pose, self._touched = list[float](), list[Poses](), list[list[float]]()
+    def __init__(self, pose: Poses) -> None:
+        """`pose` (3,): where it begins."""
+        self._t, self._pose, self._touched = [0.0], [pose], list[list[float]]()
 
     @property
     def path(self) -> RobotPath:
@@ -92,22 +89,6 @@ class LinkRobot:
         """(3,) where it then is, the yaw not wrapped."""
         return self._pose[-1]
 
-    def first_yaw(self, angle: float) -> float:
-        """The yaw with which a path begins, at this angle around the object."""
-        return 0.0 if self._side is None else angle + np.pi - self._side
-
-    def next_yaw(self, angle: float, yaw: float, rng: np.random.Generator) -> float:
-        """The yaw, not wrapped, of a touch from this angle around the object, after `yaw`. A skin
-        all around its link drifts; one on a side of it turns that side to the object."""
-        spread = rng.uniform(-YAW_SPREAD_RAD, YAW_SPREAD_RAD)
-        if self._side is None:
-            return float(yaw + spread)
-        return float(yaw + se2.wrap(np.float64(angle + np.pi - self._side + spread - yaw)))
-
-    def start(self, point: Floats, angle: float) -> None:
-        """Begin at a point (2,), at an angle around the object."""
-        self._t, self._pose = [0.0], [np.array([*point, self.first_yaw(angle)])]
-
     def wait(self, until: float) -> None:
         """Stand there until then."""
         self._t.append(max(until, self.now))
@@ -122,8 +103,8 @@ class LinkRobot:
 
     def press(self, line: Poses, back: Poses, hold_s: float, slips: Poses) -> tuple[float, float]:
         """Go along a line (4, 3): where it begins, where it slows, where it touches, where it
-        presses; and `back` (4, 3) by another, to whose end it presses. → when it touches, and when
-        it has pressed. `slips` (S, 3): of the sensor while that is held."""
+        presses; and back by another, `back` (4, 3), to whose end it presses. `slips` (S, 3): of the
+        sensor while the press is held. → when it touches, and when it has pressed."""
         self._go(line[0], TRAVEL_M_S)
         begun_s = self._go(line[1], APPROACH_M_S)
         touched_s = self._go(line[2], PRESS_M_S)
@@ -152,11 +133,3 @@ class LinkRobot:
         yaw = self.pose[2] + se2.wrap(np.float64(pose[2] - self.pose[2]))
         self._pose.append(np.array([pose[0], pose[1], yaw]))
         return self.now
-
-
-def _side(layout: Layout) -> float | None:
-    """The middle [rad] of the arc that the taxels cover; None if they are all around the link."""
-    angle = np.sort(np.arctan2(layout.position_m[:, 1], layout.position_m[:, 0]))
-    bare = np.diff(angle, append=angle[0] + 2.0 * np.pi)
-    widest = int(bare.argmax())
-    return None if bare[widest] <= BARE_RAD else angle[widest] + 0.5 * bare[widest] - np.pi

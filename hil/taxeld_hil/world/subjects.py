@@ -16,7 +16,7 @@ from taxeld.proposals.analytic import Table, check_contacts
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.manifest import NAME, BuiltFor, Manifest
 from taxeld_hil.objects import HEIGHT_M
-from taxeld_hil.world import meshes
+from taxeld_hil.world import solids
 from taxeld_hil.world.mesh_skin import LAYER_M, MARGIN_M
 from taxeld_hil.world.solids import Solid
 
@@ -132,7 +132,10 @@ def solid_of(subject: Subject, *specs: str) -> Solid:
 def _solid_of(subject: Subject, specs: tuple[str, ...], _stamps: tuple[int, ...]) -> Solid:
     height_m = max(float(np.abs(layouts.load(spec).position_m[:, 2]).max()) for spec in specs)
     reach_m = height_m + MARGIN_M + LAYER_M
-    return meshes.load(subject.mesh, subject.own_height_m, reach_m, subject.scale)
+    from taxeld_hil.objects import meshes  # noqa: PLC0415  (an extra)
+
+    path, _ = meshes.find(subject.mesh)
+    return solids.load(path, subject.own_height_m, reach_m, subject.scale)
 
 
 def on_layout(name: str, *specs: str) -> Bundle:

@@ -7,7 +7,6 @@ keeps them from passing through each other.
 """
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +16,9 @@ from taxeld.arrays import Floats, Poses
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import ground, plan
+from taxeld_hil.world import plan
 from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.ground import Ground
+from taxeld_hil.world.ground import Ground, gave_way
 from taxeld_hil.world.mesh_skin import MeshSkin
 from taxeld_hil.world.plan import PLANNED, Toucher
 from taxeld_hil.world.robot import RobotPath
@@ -84,11 +83,6 @@ class World:
         self.touches = 0  # that are planned
         self.paths = [RobotPath(np.zeros(1), AWAY[None]) for _ in self.links]
 
-    @cached_property
-    def ground(self) -> Ground:
-        """What the object rests on."""
-        return Ground.drawn(self.links[0].scene, np.random.default_rng([self._seed, 23]))
-
     def place(self, pose: Poses) -> None:
         """Have the object stand at a pose (3,), before any touch is planned."""
         self.truth = pose
@@ -98,11 +92,17 @@ class World:
         """Have the robots touch the object so often: by `random` presses, or `around` it. By any
         other guide they begin, and are told what to touch by `touch`."""
         self._touchers = [
-            Toucher(model, self._given, guide, self._seed + LINK_SEEDS * k)
+            Toucher(
+                model,
+                self._given,
+                guide,
+                self._seed + LINK_SEEDS * k,
+                self.truth,
+                len(range(k, touches, len(self.links))),
+                self.twin,
+            )
             for k, model in enumerate(self.links)
         ]
-        for k, toucher in enumerate(self._touchers):
-            toucher.begin(self.truth, len(range(k, touches, len(self.links))), self.twin)
         self._is_planned = guide in PLANNED
         for _ in range(touches if self._is_planned else 0):
             self.touch()
@@ -139,6 +139,8 @@ class World:
 
     def push(self) -> None:
         """Plan a push along a straight line after all touches: the object gives way to it."""
+        rng = np.random.default_rng([self._seed, 23])
+        self._ground = Ground.drawn(self.links[0].scene, rng)
         self._pushed = self._places[-1][1]
         self._touchers[0].push(self._pushed)
         self._take_paths()
@@ -148,8 +150,7 @@ class World:
         """The sensor has come to a pose (3,) while it pushes."""
         model, before = self.links[0], self._before
         if before is not None:
-            (place,), _ = ground.gave_way(model, self.ground, self._pushed[None], before, sensor)
-            self._pushed = place
+            self._pushed = gave_way(model, self._ground, self._pushed, before, sensor)
         seen = se2.compose(se2.inverse(sensor), self._pushed)[None]
         if before is not None and model.activation(seen).any():
             self.pushed_m += float(np.linalg.norm(sensor[:2] - before[:2]))
