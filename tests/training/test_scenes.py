@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 import trimesh
 
+from taxeld.arrays import Floats
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
@@ -15,7 +17,6 @@ from taxeld.pipeline.pipeline import _reach_m
 from taxeld.proposals import manifest
 from taxeld.stream import messages
 from taxeld_hil.objects import meshes, scenes
-from taxeld_hil.objects.scenes import GridError, grid_error
 from taxeld_training.objects.report import doubts
 
 from .rig import PAPER_RING, THREE_ROWS, box, can, handle, tube
@@ -131,38 +132,35 @@ def test_the_papers_objects_have_their_symmetry_and_exact_grids(name: str, order
     assert doubts(mesh, skin, 0.04) == []
     scene = scenes.build(mesh, skin, 0.04)
     assert scene.symmetry == order
-    error = grid_error(scene, mesh, skin, 0.04, 0.005, points=300)
-    assert 0.0 < error.rms < 0.2
-    assert error.rms <= error.p99 <= error.max
-    assert error.p99 < 0.6
-    assert error.max < 1.5  # at an edge, under the grid's spacing
+    error_mm = grid_errors_mm(scene, mesh, 300)
+    assert np.sqrt(np.mean(error_mm**2)) < 0.2
+    assert np.quantile(error_mm, 0.99) < 0.6
+    assert error_mm.max() < 1.5  # at an edge, under the grid's spacing
 
 
-def measure(scene: Scene, mesh: trimesh.Trimesh) -> GridError:
-    return grid_error(scene, mesh, SKIN, 0.04, 0.005, points=200)
+def grid_errors_mm(scene: Scene, mesh: trimesh.Trimesh, n: int = 200) -> Floats:
+    """How far distances that are looked up beside the object's outlines are off."""
+    rng, errors = np.random.default_rng(0), []
+    bottom = float(mesh.bounds[0][2]) + 0.04
+    for grid, z in zip(scene.slices, scene.heights, strict=True):
+        shape = meshes.outline(mesh, bottom + z).shape
+        if shape.is_empty:
+            continue
+        edge = max(shapely.get_parts(shape.boundary), key=shapely.length)
+        on = shapely.get_coordinates(edge.interpolate(rng.random(n), normalized=True))
+        at = on + rng.uniform(-0.005, 0.005, on.shape)
+        found = replace(scene, silhouette=grid).clearance(*at.T)[0]
+        errors.append(np.abs(found - meshes.signed_distance(shape, *at.T)))
+    return 1e3 * np.concatenate(errors)
 
 
 def test_a_smooth_solid_is_exact_to_the_grids_curvature() -> None:
     """A bilinear lookup of a distance to a circle of 50 mm errs by cell² / 8 / 43 mm at most."""
     mesh = can()
-    error = measure(scenes.build(mesh, SKIN, 0.04), mesh)
-    assert error.rms < error.p99 <= error.max < 0.04
+    assert grid_errors_mm(scenes.build(mesh, SKIN, 0.04), mesh).max() < 0.04
 
 
-def test_a_grid_that_is_off_moved_or_lost_is_detected() -> None:
-    mesh = can()
-    scene = scenes.build(mesh, SKIN, 0.04)
-    for grid in ("slices", "silhouette"):
-        off = replace(scene, **{grid: getattr(scene, grid) + np.float32(0.001)})
-        assert np.isclose(measure(off, mesh).max, 1.0, atol=0.05)
-    moved = replace(scene, origin=scene.origin + np.array([0.001, 0.0]))
-    assert 0.5 < measure(moved, mesh).rms < 1.0
-    lost = scene.slices.copy()
-    lost[1] = scenes.FAR_M
-    assert measure(replace(scene, slices=lost), mesh).max > 900.0
-
-
-def test_walls_that_no_skin_touches_do_not_count() -> None:
-    """The grids are filled: neither a wall's inside nor a solid inside another one is an error."""
+def test_walls_that_no_skin_touches_are_no_edge_of_the_grids() -> None:
+    """Neither a wall's inside nor a solid inside another one."""
     for mesh in (tube(0.047), trimesh.util.concatenate([can(), handle()])):
-        assert measure(scenes.build(mesh, SKIN, 0.04), mesh).max < 1.0
+        assert grid_errors_mm(scenes.build(mesh, SKIN, 0.04), mesh).max() < 1.0

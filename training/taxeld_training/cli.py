@@ -69,7 +69,7 @@ def _scene(args: argparse.Namespace) -> int:
     from taxeld_training.objects import report
 
     skin, height_m = args.layout or SkinConfig().layout, args.height_m or HEIGHT_M
-    for line in report.lines(args.object, skin, height_m, _depth_m(args), args.png):
+    for line in report.lines(args.object, skin, height_m, args.png):
         print(line)
     print(f"next        {build.command(args.object, skin, height_m, _depth_m(args))}")
     build.warn_of_doubts(args.object, skin, height_m)

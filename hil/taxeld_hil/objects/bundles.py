@@ -5,7 +5,6 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -75,7 +74,6 @@ def write(name: str, links: Links, depth_m: float, directory: Path) -> Observati
     info: dict[str, Any] = {"object": path.stem, "attribution": attribution, **first}
     info |= {"depth_max_m": depth_m, "symmetry": model.scene.symmetry}
     info["repairs"] = scenes.repairs(mesh, *links[0])
-    info["grid_error_mm"] = asdict(scenes.grid_error(model.scene, mesh, *links[0], depth_m))
     if further:
         info["links"] = [
             link | {"scene": file} for link, file in zip(further, files[1:], strict=True)

@@ -1,8 +1,7 @@
-"""Scenes from meshes: slices at the skin's heights, their grids, how exact these are, symmetry and
-surface points."""
+"""Scenes from meshes: slices at the skin's heights, their grids, symmetry and surface points."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -10,7 +9,6 @@ import trimesh
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from taxeld.arrays import Floats
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS, Scene
@@ -29,17 +27,7 @@ SURFACE_POINTS_PER_SLICE = 64
 # box does, the handle of a mug does not. Of a smaller object less, as its cells are.
 SYMMETRY_RMS_M = 0.0015
 SYMMETRY_MAX_M = 0.005
-ERROR_POINTS = 1000  # a grid, the same ones at every call
 SYMMETRY_ORDERS = (12, 10, 9, 8, 7, 6, 5, 4, 3, 2)
-
-
-def cut(name: str, layout: Layout, height_m: float) -> Scene:
-    """The scene of a YCB id or a mesh file, as `build` has it.
-
-    Raises:
-        SetupError: there is no such object, or its mesh cannot be used.
-    """
-    return build(meshes.load(meshes.find(name)[0]), layout, height_m)
 
 
 def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
@@ -76,12 +64,6 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
     )
 
 
-def cut_all(name: str, at: Sequence[tuple[Layout, float]], scale: float = 1.0) -> list[Scene]:
-    """As `cut`, on each of several links, as `build_all` has them; the object scaled first."""
-    mesh = meshes.load(meshes.find(name)[0])
-    return build_all(mesh if scale == 1.0 else mesh.apply_scale(scale), at)
-
-
 def build_all(mesh: trimesh.Trimesh, at: Sequence[tuple[Layout, float]]) -> list[Scene]:
     """The scene of `mesh` on each of several links: their layouts, and the heights of their frames'
     origins above its lowest point. What turns leave it unchanged is a question of all heights.
@@ -108,9 +90,6 @@ def repairs(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[str]
     """The repairs of the mesh and of its outlines, in words; empty for a sound mesh."""
     cuts = outlines(mesh, layout, height_m)
     found = list(mesh.metadata.get("repairs", []))
-    crossed = sum(cut.crossed for cut in cuts)
-    if crossed:
-        found.append(f"untangled {crossed} self-crossing outline{'s' * (crossed != 1)}")
     gaps = [gap for cut in cuts for gap in cut.closed_m]
     if gaps:
         s = "s" * (len(gaps) != 1)
@@ -206,61 +185,3 @@ def _surface(shapes: list[BaseGeometry], heights: NDArray[np.float64]) -> NDArra
             around = _around(_largest(shape), SURFACE_POINTS_PER_SLICE)
             points.append(np.column_stack([around, np.full(len(around), z)]))
     return np.concatenate(points)
-
-
-@dataclass(frozen=True)
-class GridError:
-    """Errors of the looked-up distance, all grids together [mm]."""
-
-    rms: float
-    p99: float
-    max: float
-
-
-def grid_error(
-    scene: Scene,
-    mesh: trimesh.Trimesh,
-    layout: Layout,
-    height_m: float,
-    depth_max_m: float,
-    points: int = ERROR_POINTS,
-) -> GridError:
-    """Errors of the distances that are looked up in a scene's grids, at random points: spacing,
-    rounding and lookup make them.
-
-    They are taken where the estimator looks: in the slices within `depth_max_m` and a
-    cell of the surface, in the silhouette as near to where the cylinder's axis is at a touch."""
-    rng = np.random.default_rng(0)
-    band = depth_max_m + scene.cell
-    bottom = float(mesh.bounds[0][2]) + height_m
-    shapes = [meshes.outline(mesh, bottom + z).shape for z in scene.heights]
-    union = meshes.fill(shapely.union_all(shapes))
-    measured = [(grid, shape, 0.0) for grid, shape in zip(scene.slices, shapes, strict=True)]
-    measured.append((scene.silhouette, union, layout.radius_m))
-    errors = []
-    for grid, shape, away_m in measured:
-        if shape.is_empty:
-            continue
-        at = _near(shape, max(away_m - band, 0.0), away_m + band, points, rng)
-        exact = meshes.signed_distance(shape, *at.T)
-        use = np.abs(exact - away_m) <= band
-        errors.append(_lookup(scene, grid, at[use]) - exact[use])
-    error = np.abs(np.concatenate(errors)) * 1e3
-    rms = np.sqrt(np.mean(error**2))
-    return GridError(float(rms), float(np.quantile(error, 0.99)), float(error.max()))
-
-
-def _lookup(scene: Scene, grid: NDArray[np.float32], at: Floats) -> Floats:
-    return replace(scene, silhouette=grid).clearance(at[:, 0], at[:, 1])[0]
-
-
-def _near(shape: BaseGeometry, low: float, high: float, n: int, rng: np.random.Generator) -> Floats:
-    """(n, 2) random points, `low` to `high` [m] from random points of the shape's outline."""
-    lines = shapely.get_parts(shape.boundary)
-    length = shapely.length(lines)
-    line = lines[rng.choice(len(lines), n, p=length / length.sum())]
-    on = shapely.line_interpolate_point(line, rng.random(n), normalized=True)
-    angle = rng.uniform(0.0, 2.0 * np.pi, n)
-    away = rng.uniform(low, high, (n, 1))
-    way = np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.asarray(shapely.get_coordinates(on) + away * way)

@@ -104,11 +104,10 @@ def _model_of(
     of_bundle = {at.layout.digest for at in built.all_links} if built is not None else set()
     if subject.is_as_built and {each.digest for each in on} <= of_bundle:
         return bundle.load(subject.name, first, further=further).model
-    from taxeld_hil.objects import scenes  # noqa: PLC0415  (an extra)
+    from taxeld_hil.objects import meshes, scenes  # noqa: PLC0415  (an extra)
 
-    cuts = scenes.cut_all(
-        subject.mesh, [(layout, subject.own_height_m) for layout in on], subject.scale
-    )
+    mesh = meshes.load(meshes.find(subject.mesh)[0]).apply_scale(subject.scale)
+    cuts = scenes.build_all(mesh, [(layout, subject.own_height_m) for layout in on])
     own, *more = (
         ObservationModel(cut, layout, subject.own_depth_m)
         for cut, layout in zip(cuts, on, strict=True)

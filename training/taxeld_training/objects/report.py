@@ -42,9 +42,7 @@ TURNS = {  # turn in words → its matrix
 }
 
 
-def lines(
-    name: str, layout: str, height_m: float, depth_m: float, png: Path | None
-) -> Iterator[str]:
+def lines(name: str, layout: str, height_m: float, png: Path | None) -> Iterator[str]:
     """What the skin meets of a YCB id or a mesh file, also as a picture.
 
     Raises:
@@ -52,7 +50,6 @@ def lines(
     """
     skin, mesh = layouts.load(layout), meshes.load(meshes.find(name)[0])
     cut = scenes.build(mesh, skin, height_m)
-    error = scenes.grid_error(cut, mesh, skin, height_m, depth_m)
     heights = (height_m + cut.heights) * 1e3
     met = sum(bool((piece < 0.0).any()) for piece in cut.slices)
     yield f"upright     {UPRIGHT}"
@@ -63,7 +60,6 @@ def lines(
     )
     yield f"symmetry    {turns(cut.symmetry)}"
     yield f"repairs     {'; '.join(scenes.repairs(mesh, skin, height_m)) or 'none'}"
-    yield f"grid error  rms {error.rms:.3f}, 99 % under {error.p99:.3f}, max {error.max:.3f} mm"
     yield f"grid        {(cut.slices.nbytes + cut.silhouette.nbytes) / 1e3:.0f} kB"
     if png:
         from taxeld_training.objects import picture  # noqa: PLC0415  (an extra)
