@@ -12,8 +12,7 @@ import pytest
 from taxeld.layout import read as layouts
 from taxeld_hil import rules
 from taxeld_hil.acceptance import accept, checks
-from taxeld_hil.acceptance.press import pressed
-from taxeld_hil.acceptance.received import Press, Received
+from taxeld_hil.acceptance.received import Press, Received, pressed
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module
 

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from taxeld_hil import cli
+from tests.rig.array_skin import LAYOUT as ARRAY
+from tests.rig.array_skin import ArraySkin
 from tests.rig.virtual_hub import StuckHub
 
 from .accept_skin import LAYOUT, MODULES, Counts, DamagingHub, Operator, SleepClock, VirtualSkin
@@ -160,6 +162,22 @@ def test_a_fault_of_the_skin_breaks_its_own_rule_alone(
     sends_none = rule == "discovery hubs" or "grouping" in says
     assert ("no module that can be pressed" in ran.printed) == sends_none
     assert (ran.out / "modules.toml").exists() != sends_none
+
+
+def test_a_skin_that_sends_arrays_passes_and_has_no_modules_to_list(tmp_path: Path) -> None:
+    """In real time, so the pace of the scans is this machine's matter."""
+    out, here = tmp_path / "report", f"ipc://{tmp_path}"
+    with ArraySkin(f"{here}/skin", f"{here}/robot", "counts", idle=10**6):
+        line = ["accept", f"array:{here}/skin", "--layout", ARRAY, "--out", str(out)]
+        cli.main([*line, "--seconds", "6"])
+    ran = Ran(0, out, "", was_stopped=True)
+    assert {name for name in ran.failed if not name.startswith("rate")} == set()
+    said = {f"{rule['check']} {rule['what']}": rule["measured"] for rule in ran.rules}
+    assert said["modules of the layout"] == "8 of 8 answered"
+    assert said["taxels at rest"].startswith("80 of 80")
+    assert {path.name for path in out.iterdir()} == {
+        *("array.jsonl", "report.json", "report.txt", "session.toml")
+    }
 
 
 def test_a_report_is_not_written_over_another(

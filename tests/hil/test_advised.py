@@ -15,7 +15,7 @@ from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.world import IDLE_S, World
 from tests.rig.commands import refused
 
-from .rig import DEMO, MODEL, MODULES, SKIN, TRUTH, passing
+from .rig import DEMO, MODEL, SKIN, TRUTH, passing
 
 ADVISED = replace(DEMO, advised=True, contacts=4)
 DEPTH_M = 0.003
@@ -32,7 +32,7 @@ def approach(beside_m: float, direction: float = 0.4) -> Approach:
 
 def beside() -> World:
     """A robot that hears advice, beside the object."""
-    made = World([MODEL], [MODULES], Conditions(robot_m=0.0), 1)
+    made = World([MODEL], Conditions(robot_m=0.0), 1)
     made.place(TRUTH)
     made.plan("advised", 0)
     return made

@@ -75,7 +75,7 @@ def made(
     seed: int = 3, guide: str = "random", model: ObservationModel = MODEL, **given: Any
 ) -> World:
     """A world of presses of the box."""
-    found = World([model], [MODULES], Conditions(**{"robot_m": 0.0} | given), seed)
+    found = World([model], Conditions(**{"robot_m": 0.0} | given), seed)
     found.plan(guide, TOUCHES)
     return found
 

@@ -12,7 +12,6 @@ from taxeld.model.observation import ObservationModel
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.ground import DEPTH_M, Ground, gave_way
 from taxeld_hil.world.world import World
-from taxeld_protocol.modules import wired
 
 from .rig import gap_m
 
@@ -41,8 +40,7 @@ def test_the_object_gives_way_until_friction_holds_it_and_never_moves_farther_th
 ) -> None:
     ways_m, depths = [], []
     for seed in range(TRIALS):
-        modules = wired(ring_model.layout.uid.tolist())
-        made = World([ring_model], [modules], Conditions(robot_m=0.0), seed)
+        made = World([ring_model], Conditions(robot_m=0.0), seed)
         made.plan("push", 1)
         made.push()
         steps = [made.step(t) for t in np.arange(made.push_s, made.duration_s, 0.05)]

@@ -22,8 +22,7 @@ from taxeld.source.opening import open_source
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source
 from taxeld_hil.acceptance.checks import rules
-from taxeld_hil.acceptance.press import pressed_by_hand
-from taxeld_hil.acceptance.received import Received, Say, receive
+from taxeld_hil.acceptance.received import Received, Say, pressed_by_hand, receive
 from taxeld_hil.rules import Rule, failed, lines
 
 SECONDS_MIN = 5.0  # 100 scans at the usual rate
@@ -73,7 +72,8 @@ def run(
         as_text = json.dumps(report(target, when, got, found), indent=1)
         (out / "report.json").write_text(as_text + "\n", encoding="utf-8")
         connected = [m for table in got.tables.values() for m in table if m.channels]
-        if connected and all(m.sui is not None and not m.fault for m in connected):
+        named = all(m.sui is not None and not m.fault for m in connected)
+        if connected and named and config.kind != "array":
             path = out / modules.FILE
             path.write_text(modules.text(got.tables), encoding="utf-8")
             say(f"the hub's modules are listed in {path}, for source.modules")

@@ -18,15 +18,12 @@ from taxeld.model.symmetry import add_m
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.proposals.samples import Samples
-from taxeld_hil.trials.calibrated import calibration_of
 from taxeld_hil.trials.case import Case
 from taxeld_hil.trials.guides import BeliefGuide
 from taxeld_hil.world.plan import PLANNED, PUSH_M
-from taxeld_hil.world.subjects import model_of, solid_of
-from taxeld_hil.world.world import World
-from taxeld_protocol.array import Group
+from taxeld_hil.world.subjects import model_of
+from taxeld_hil.world.world import World, made
 from taxeld_protocol.decoder import Scan
-from taxeld_protocol.modules import NAMES, Module, wired
 
 TICK_S = 0.01  # between two poses
 SCAN_S = 0.05
@@ -66,7 +63,6 @@ class Direct:
     def __init__(self, world: World, pipeline: Pipeline, first: int = 0) -> None:
         """`first`: ticks until the first scan."""
         self.world, self.pipeline = world, pipeline
-        self._modules = [_wired(link.layout.uid.tolist()) for link in world.links]
         self._posed, self._next = 0, first  # ticks of the next pose and the next scan
 
     @property
@@ -86,29 +82,13 @@ class Direct:
                 for at, x, y, yaw in rows.tolist():
                     stage.poses.add(at, x, y, yaw)
                 counts = tuple(world.step(t, link).counts)
-                came.append(Scan(t, 1, counts, self._modules[link], 1, link=link))
+                came.append(Scan(t, 1, counts, world.modules[link], 1, link=link))
             yield from self.pipeline.advance(came, t)
 
 
-def _wired(uids: list[int]) -> tuple[Module, ...]:
-    """The modules of taxels, or the groups of an array whose names no module has."""
-    is_module = all(0 < uid & 0xF < NAMES for uid in uids)
-    return tuple(wired(uids, Module if is_module else Group))
-
-
 def world_of(case: Case, seed: int) -> World:
-    """The world of a trial.
-
-    Raises:
-        SetupError: the object or a layout cannot be found, read or used.
-    """
-    subject, given = case.subject, case.conditions
-    links = model_of(subject, *case.specs).links
-    modules = [_wired(link.layout.uid.tolist()) for link in links]
-    solid = None if given.is_exact else solid_of(subject, *case.specs)
-    world = World(links, modules, given, seed, solid)
-    world.plan(case.guide, case.touches)
-    return world
+    """The world of a trial. Raises SetupError as `made`."""
+    return made(case.subject, case.specs, case.conditions, case.guide, case.touches, seed)
 
 
 def play(case: Case, seed: int) -> list[Touch]:
@@ -122,8 +102,8 @@ def play(case: Case, seed: int) -> list[Touch]:
     samples = Samples(case.proposals(), time.process_time_ns)
     layouts = [link.layout for link in models[0].links]
     calibrations = [
-        calibration_of(world, case.conditions, k) if case.conditions.calibrated else None
-        for k in range(len(layouts))
+        skin.calibration(link.depth_max_m) if case.conditions.calibrated else None
+        for skin, link in zip(world.skins, world.links, strict=True)
     ]
     pipeline = Pipeline(config, layouts, models, samples, calibration=calibrations)
     direct = Direct(world, pipeline)

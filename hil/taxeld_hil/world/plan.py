@@ -56,7 +56,7 @@ class Circle:
 
     def normal(self, press: Poses) -> Poses:
         """Along the contact's normal to a press, the object at `press` (3,) in the sensor frame."""
-        points = _normal_way(self._model, press, self.radius_m)
+        (points,) = _normal_ways(self._model, press[None], self.radius_m)
         return se2.compose(self._truth, np.column_stack([points, np.full(4, -press[2])]))
 
     def advised(self, approach: Approach) -> Poses | None:
@@ -76,18 +76,17 @@ def _clear_m(model: ObservationModel, reach_m: float) -> float:
     return reach_m + model.layout.radius_m + STANDOFF_M
 
 
-def _normal_way(model: ObservationModel, press: Poses, radius_m: float) -> Floats:
-    """(4, 2) points of the link's axis in the object's frame on the way to a press (3,) from the
-    circle of a radius about the centre."""
-    (ax,), (ay,) = contacts.axis_in_object(press[None])
-    distance, gx, gy = (float(each[0]) for each in model.scene.clearance(ax[None], ay[None]))
-    axis, away = np.array([ax, ay]), np.array([gx, gy])
-    off = axis - model.scene.centre
-    out = float(off @ away)
-    start = -out + math.sqrt(max(out**2 - float(off @ off) + radius_m**2, 0.0))
+def _normal_ways(model: ObservationModel, presses: Poses, radius_m: float) -> Floats:
+    """(N, 4, 2) points of the link's axis in the object's frame on the way to presses (N, 3) from
+    the circle of a radius about the centre."""
+    axis = np.column_stack(contacts.axis_in_object(presses))
+    distance, *gradient = model.scene.clearance(*axis.T)
+    away, off = np.column_stack(gradient), axis - model.scene.centre
+    out = np.sum(off * away, axis=1)
+    start = np.sqrt(np.maximum(out**2 - np.sum(off**2, axis=1) + radius_m**2, 0.0)) - out
     touch = model.layout.radius_m - distance
-    ways = np.array([start, touch + SLOW_FROM_M, touch, 0.0])
-    return np.asarray(axis + ways[:, None] * away)
+    ways = np.stack([start, touch + SLOW_FROM_M, touch, 0.0 * touch], axis=1)
+    return np.asarray(axis[:, None] + ways[:, :, None] * away[:, None])
 
 
 def presses(
@@ -112,9 +111,9 @@ def presses(
     least_m, most_m = (share * model.depth_max_m for share in given.press)
     side = float(rng.uniform(-np.pi, np.pi))
 
-    def is_clear(press: Poses, deepest_m: float) -> bool:
-        """Whether the way touches nothing but at its end, and the twin no deeper than so much."""
-        points = _normal_way(model, press, _clear_m(model, reach_m))
+    def is_clear(points: Floats, deepest_m: float) -> bool:
+        """Whether a way (4, 2) touches nothing but at its end, and the twin no deeper than so
+        much."""
         steps = 2 + int(math.dist(points[0], points[2]) / CHECK_M)
         way = np.linspace(points[2], points[0], steps)
         if (scene.clearance(*way.T)[0] - radius_m).min() < -GRAZE_M:
@@ -133,13 +132,15 @@ def presses(
                 break
             batch = BATCH if also is None else PAIR_BATCH
             made = contacts.synthesise(scene, radius_m, most_m, batch, rng)
-            ax, ay = contacts.axis_in_object(made.pose)
-            angle = np.arctan2(ay - scene.centre[1], ax - scene.centre[0])
+            ways = _normal_ways(model, made.pose, _clear_m(model, reach_m))
+            x, y = (ways[:, 0] - scene.centre).T
+            angle = np.arctan2(y, x)
             kept = (made.depth_m >= least_m) & (np.abs(se2.wrap(angle - side)) <= within_rad)
             for pose in (made.pose,) if also is None else (made.pose, se2.compose(made.pose, also)):
                 kept &= model.activation(pose).max(axis=1) > TOUCH
             deepest_m = 0.0 if also is None else most_m
-            found += [press for press in made.pose[kept] if is_clear(press, deepest_m)]
+            kept[kept] = [is_clear(way, deepest_m) for way in ways[kept]]
+            found += [*made.pose[kept]]
         if len(found) < wanted:
             raise SetupError("a trial's touches hardly exist: the skin misses the object there")
         return np.reshape(found[:wanted], (-1, 3))

@@ -12,6 +12,7 @@ import numpy as np
 from taxeld.arrays import Floats, Index, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
+from taxeld.skin.calibration import Calibration
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.soft_skin import CrossTalk, Foam, PerPress, Response, ThermalDrift, drawn
 from taxeld_protocol.modules import Module
@@ -20,6 +21,13 @@ COUNT_MAX = 0xFFFF
 T0_COUNTS = 12_000  # level of every module's temperature channel; a press hardly moves it
 T0_LEAK = 0.02  # share of a press that it reads: 356 of 8 500 counts on a real skin
 LEAST_GAIN = 0.1
+# (noise_sigma, gain_cv) that calibrations of these foams find; the mean of two runs each
+LEFT = {
+    "scene": (0.02, 0.02),
+    "typical": (0.058, 0.08),
+    "poor": (0.058, 0.09),
+    "stiff": (0.028, 0.08),
+}
 STILL = 3.0  # standard deviations beyond which no baseline is drawn: it must stay a reading
 
 Body = Callable[[Poses, Floats], Floats]
@@ -41,16 +49,6 @@ def exact(model: ObservationModel) -> Body:
     return pressed
 
 
-class Channels:
-    """Which taxel and which module each channel of a scan reads."""
-
-    def __init__(self, layout: Layout, modules: Sequence[Module]) -> None:
-        index = {int(uid): i for i, uid in enumerate(layout.uid)}
-        uids = [uid for module in modules for uid in module.uids]
-        self.taxel = np.array([index.get(uid, -1) for uid in uids])  # -1: no taxel, but T0
-        self.module = np.repeat(range(len(modules)), [m.channels for m in modules])
-
-
 class SimulatedSkin:
     """The skin of one link, of M taxels."""
 
@@ -67,7 +65,10 @@ class SimulatedSkin:
         by their spread alone."""
         taxels, skin = len(layout), given.skin
         self._given, self._body, self._rng = given, body, rng
-        self._channels = Channels(layout, modules)
+        # of each channel of a scan: its taxel, -1 where it is a T0, and its module
+        index = {uid: i for i, uid in enumerate(layout.uid.tolist())}
+        self._taxel = np.array([index.get(uid, -1) for own in modules for uid in own.uids])
+        self._module = np.repeat(range(len(modules)), [own.channels for own in modules])
         still = np.clip(rng.standard_normal(taxels), -STILL, STILL)
         self.baseline = given.baseline_counts + given.baseline_spread * still
         gain = np.maximum(1.0 + skin.gain_cv * rng.standard_normal(taxels), LEAST_GAIN)
@@ -88,6 +89,33 @@ class SimulatedSkin:
         names, module = np.unique(layout.uid >> 4, return_inverse=True)
         gone = faults.permutation(len(names))[: given.dead_modules]
         self._dead = np.isin(module, gone) | np.isin(np.arange(taxels), scattered)
+
+    def calibration(self, depth_m: float) -> Calibration:
+        """What a calibration would tell of it, as exact as one can be; `depth_m`: of a press at
+        full scale."""
+        zeros, given = np.zeros(len(self.depth)), self._given
+        noise_sigma, gain_cv = LEFT[given.foam]
+        return Calibration(
+            t=0.0,
+            digest="",
+            object="",
+            presses=0,
+            full_scale_depth_m=depth_m,
+            full_scale_counts=given.full_scale_counts,
+            full_scale_sd=0.0,
+            bend=given.skin.bend,
+            bend_sd=0.0,
+            mount=np.zeros(3),
+            mount_sd=np.zeros(3),
+            noise_sigma=noise_sigma,
+            gain_cv=gain_cv,
+            gain=self.full_scale / given.full_scale_counts,
+            gain_sd=zeros,
+            onset=self.response.steeper,
+            onset_sd=zeros,
+            noise_counts=given.skin.noise_counts[0] + zeros,
+            frozen=zeros > 0.0,
+        )
 
     def press(self, seen: Poses, t: float) -> Floats:
         """(M,) counts of presses, with objects at poses (K, 3) in the sensor frame at t [s]; times
@@ -112,7 +140,7 @@ class SimulatedSkin:
         if touching and len(self._stuck):
             full = self._given.stuck_at * self._given.full_scale_counts
             taxels[self._stuck] = self.baseline[self._stuck] + full
-        at, module = self._channels.taxel, self._channels.module
+        at, module = self._taxel, self._module
         pressed = np.where(at >= 0, press[at], 0.0)
         leak = np.bincount(module, pressed)[module] * T0_LEAK
         values = np.where(at >= 0, taxels[at], T0_COUNTS + leak + thermal)

@@ -13,6 +13,7 @@ import numpy as np
 
 from taxeld.advice.advice import Approach
 from taxeld.arrays import Floats, Poses
+from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.scenario.scenario import Scenario
@@ -26,7 +27,7 @@ from taxeld_hil.world.skin import Body, SimulatedSkin, exact
 from taxeld_hil.world.solids import Solid
 from taxeld_hil.world.subjects import Subject, model_of, solid_of
 from taxeld_protocol.array import Group
-from taxeld_protocol.modules import Module, wired
+from taxeld_protocol.modules import NAMES, Module, wired
 
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
 LINK_SEEDS = 1_000_003  # from a link's seed to the next one's
@@ -49,16 +50,17 @@ class World:
     def __init__(
         self,
         links: Sequence[ObservationModel],
-        modules: Sequence[Sequence[Module]],
         given: Conditions,
         seed: int,
         solid: Solid | None = None,
+        kind: type[Module] = Module,
     ) -> None:
-        """`links`: the touched object on each; `modules` of each link, whose channels are read;
-        `solid`: the object itself, which foam meets unless it is exact."""
+        """`links`: the touched object on each; `solid`: the object itself, which foam meets unless
+        it is exact; `kind`: of what reads the taxels, where their UIDs are those of modules."""
         self.links = links
+        self.modules = [_wired(link.layout, kind) for link in links]  # of each link
         self.skins = list[SimulatedSkin]()
-        for k, (model, own) in enumerate(zip(links, modules, strict=True)):
+        for k, (model, own) in enumerate(zip(links, self.modules, strict=True)):
             rng = np.random.default_rng(seed + LINK_SEEDS * k)
             _placed(given, rng)
             body: Body = exact(model)
@@ -220,21 +222,33 @@ class World:
         return Step(sensor, truth, skin.depth, counts)
 
 
-def world_of(scenario: Scenario, seed: int) -> World:
-    """The world of a scenario, its touches planned.
+def made(
+    subject: Subject,
+    specs: Sequence[str],
+    given: Conditions,
+    guide: str,
+    touches: int,
+    seed: int,
+    kind: type[Module] = Module,
+) -> World:
+    """The world of an object and the skins of some layouts, its touches planned; `kind` as of
+    `World`.
 
     Raises:
-        SetupError: skin or object cannot be loaded.
+        SetupError: the object or a layout cannot be found, read or used.
     """
+    solid = None if given.is_exact else solid_of(subject, *specs)
+    world = World(model_of(subject, *specs).links, given, seed, solid, kind)
+    world.plan(guide, touches)
+    return world
+
+
+def world_of(scenario: Scenario, seed: int) -> World:
+    """The world of a scenario. Raises SetupError as `made`."""
     specs = [scenario.of_link(k).skin_layout for k in range(scenario.links)]
     subject, given = Subject(scenario.bundle), Conditions.of(scenario)
-    links = model_of(subject, *specs).links
     kind = Group if scenario.transport == "array" else Module
-    modules = [wired(link.layout.uid.tolist(), kind) for link in links]
-    solid = None if given.is_exact else solid_of(subject, *specs)
-    world = World(links, modules, given, seed, solid)
-    world.plan(guide_of(scenario), scenario.contacts)
-    return world
+    return made(subject, specs, given, guide_of(scenario), scenario.contacts, seed, kind)
 
 
 def load_model(scenario: Scenario) -> ObservationModel:
@@ -251,3 +265,10 @@ def _placed(given: Conditions, rng: np.random.Generator) -> Poses:
     """Where the object stands (3,)."""
     most = np.array([given.place_m, given.place_m, np.pi])
     return rng.uniform(-most, most)
+
+
+def _wired(layout: Layout, kind: type[Module]) -> tuple[Module, ...]:
+    """The modules of a layout; or the groups of an array, whose names no module has."""
+    name = layout.uid & 0xF
+    is_module = bool(((name > 0) & (name < NAMES)).all())
+    return tuple(wired(layout.uid.tolist(), kind if is_module else Group))
