@@ -13,8 +13,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from taxeld.arrays import Floats
-from taxeld_protocol.cyskin import Command
-from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module, wired
 from tests.rig.virtual_hub import VirtualHub
 
@@ -73,30 +71,11 @@ class Counts:
         return values
 
 
-class DamagingHub(VirtualHub):
-    """Flips a bit of every n-th packet of counts."""
-
-    damage_every = 0
-    _packets = 0
-
-    def items(self, command: int, payload: bytes) -> Sequence[Frame | Chunk]:
-        items = super().items(command, payload)
-        if command == Command.SENSOR_DATA:
-            self._packets += 1
-            if self.damage_every and self._packets % self.damage_every == 0:
-                frame = items[1]
-                assert isinstance(frame, Frame)
-                data = bytes((frame.data[0] ^ 0x10,)) + frame.data[1:]
-                return [items[0], frame._replace(data=data), *items[2:]]
-        return items
-
-
 class VirtualSkin:
     """A hub and what it reads, served while the clock's owner sleeps."""
 
     def __init__(self, hub: VirtualHub, counts: Counts, clock: SleepClock) -> None:
         self.hub, self.counts = hub, counts
-        self.period_ms: int | None = None  # what it keeps to, whatever it is asked for
         self.wired_as: dict[int, int] = {}  # module that is asked for → that lies there
         self._clock = clock
         self.operator = self.on_text  # reads what is printed
@@ -110,8 +89,6 @@ class VirtualSkin:
         hub.answer(now)
         if now >= self._release_s:
             self.counts.pressed = None
-        if self.period_ms:
-            hub.ihb.period_ms = self.period_ms
         if hub.ihb.due(now):
             before = hub.written
             hub.scan(self.counts.scan())

@@ -104,19 +104,14 @@ def jumping_t0() -> Received:
     return received(late)
 
 
-HUBS, SILENT, DETAILS = (
-    "discovery hubs",
-    "sent no scan after auto sync",
-    "without a module's details",
-)
+HUBS, SILENT = "discovery hubs", "sent no scan after auto sync"
+DETAILS = "without a module's details"
 OF_LAYOUT, MORE, OTHER = "modules of the layout", "modules not in the layout", "with other taxels"
 EVENNESS, MISSED, DAMAGE = "rate evenness of hub 1", "rate missed by hub 1", "link damage"
 FAULTS: list[tuple[str, str, Make]] = [
     # rules that do not hold, what the first says, what is wrong
     (HUBS, "nothing at all was heard → check that the hub has power", silent({})),
-    (HUBS, "unsent 3 → check that the hub has power", silent({}, unsent=3)),
     (HUBS, "frames 7 → check the target's kind", silent({}, frames=7)),
-    (HUBS, "bytes 40 → check the target's kind", silent({}, bytes=40)),
     (HUBS, "packets 7, frames 7 → stop", silent({}, frames=7, packets=7)),
     (HUBS, "lost 1 → check the adapter", silent({}, lost=1)),
     (HUBS, "refused 12, unsent 3 → check the adapter", silent({}, refused=12, unsent=3)),
@@ -133,11 +128,7 @@ FAULTS: list[tuple[str, str, Make]] = [
     ("modules with one serial number", "position 3), 2 times", table(A, B, C, D, D)),
     (f"modules {OTHER}", "out T9, T10", table(replace(A, mask=0x1FF, channels=9), B, C, D)),
     (f"modules {OTHER}", "no T0", table(A, replace(B, mask=0x7FE, channels=10), C, D)),
-    (
-        f"modules {OTHER}",
-        "which taxel is which is not known; set its mask",
-        table(A, B, C, replace(D, channels=10, mask=0x7FF)),
-    ),
+    (f"modules {OTHER}", "not known; set", table(A, B, C, replace(D, channels=10, mask=0x7FF))),
     ("rate hub 1", "80.0 ms → ask for fewer", times(1000.0 + 1.6 * (TIMES - 1000.0))),
     ("rate hub 1", "25.0 ms → stop any other host", times(1000.0 + 0.5 * (TIMES - 1000.0))),
     (EVENNESS, "within 14.0 ms", times(TIMES + 0.014 * (np.arange(SCANS) % 7 == 0))),
@@ -145,14 +136,10 @@ FAULTS: list[tuple[str, str, Make]] = [
     (MISSED, "149 of 299", times(TIMES[:150], TIMES[-1])),
     ("rate whole scans of hub 1", "5 → see the link", times(TIMES[:5])),
     (DAMAGE, "crc_errors 1 → check the bus's ends", link(crc_errors=1)),
-    (DAMAGE, "length_errors 2", link(length_errors=2)),
     (DAMAGE, "index_errors 3 → two hubs may share a short id", link(index_errors=3)),
-    (DAMAGE, "malformed 1", link(malformed=1)),
-    (DAMAGE, "noise 1", link(noise=1)),
     (DAMAGE, "orphan 40", link(orphan=40)),
     ("link faults", "not read in time: 2 → run as", link(bus_unread=2)),
-    ("link faults", "lost 2 → check the adapter", link(lost=2)),
-    ("link faults", "lost 1", link(100, lost=1)),
+    ("link faults", "lost 1 → check the adapter", link(100, lost=1)),
     ("link faults", "silences 1", link(100, silences=1)),
     ("taxels noisy", "T5 of module 1 (hub 1, position 0), noise", noise(5, 500.0)),
     ("taxels noisy", "the whole module: T1, T2", noise(slice(12, 22), 500.0)),
@@ -160,16 +147,10 @@ FAULTS: list[tuple[str, str, Make]] = [
     ("taxels at rest", "no taxel has a baseline → run once more", noise(ALL_TAXELS, 2500.0)),
     ("taxels noisy", "T5 of module 1 (hub 1, position 0), without a baseline", noise(5, 2500.0)),
     ("taxels dead", "T4 of module 3 (hub 1, position 2)", counts(fixed={(3, 4): 0})),
-    ("taxels dead", "T2, T7 of module 1", counts(fixed={(1, 2): 0, (1, 7): 0})),
     ("taxels dead", "the whole module: T1", counts(fixed={(2, k): 0 for k in range(1, 11)})),
     ("taxels saturated", "T1 of module 4", counts(fixed={(4, 1): 43_000})),
     ("taxels stuck", "T10 of module 4", counts(fixed={(4, 10): 10_123})),
-    (
-        "temperature 0, or 43000 and more",
-        "T0 of module 2 (hub 1, position 1)",
-        counts(fixed={(2, 0): 0}),
-    ),
-    ("temperature 0, or 43000 and more", "T0 of module 2", counts(fixed={(2, 0): 0xFFFF})),
+    ("temperature 0, or 43000 and more", "T0 of module 2 (hub 1", counts(fixed={(2, 0): 0})),
     ("temperature jumps within a second", "T0 of module 1 (hub 1, position 0): ", jumping_t0),
     ("press answers", "; modules 2 and 4 are swapped →", presses(1, 4, 3, 2)),
     ("press answers", "module 2 answered for 1; module 3 answered", presses(2, 3, 1, 4)),

@@ -21,7 +21,7 @@ from taxeld.service import calibration_file
 from taxeld.skin.calibration import Calibration
 from taxeld.stream import topics
 from taxeld_hil.calibration import calibrate, check
-from taxeld_hil.calibration.guided import Guided
+from taxeld_hil.calibration.command import Guided
 from taxeld_hil.cli import main as hil
 from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
 from tests.rig.commands import printed, refused
@@ -137,7 +137,7 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
 
             hub.serve(now_s, counts)
             time.sleep(0.001)
-        asking.recording.stopping = True
+        asking.stop()
         worker.join(DEADLINE_S)
         robot.close(0)
     assert ended == [True], "\n".join(said)

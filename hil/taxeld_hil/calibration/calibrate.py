@@ -17,8 +17,7 @@ from taxeld.model.response import Inverse
 from taxeld.skin.calibration import Calibration, skin_digest
 from taxeld.source import session
 from taxeld_hil.calibration.fit import SEARCHED, CalibrationFit, FitResult, Start, likeliest, seen
-from taxeld_hil.calibration.observer import Observer, uncalibrated
-from taxeld_hil.calibration.presses import Presses
+from taxeld_hil.calibration.presses import Observer, Presses
 from taxeld_hil.rules import Rule, at_least, require
 
 LEAST_IDLE_S = 10.0
@@ -66,7 +65,7 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
     observer = Observer(open_pipeline(directory, uncalibrated(config)))
     for outcome in outcomes(directory, observer.pipeline):
         observer.on_outcome(outcome)
-    (presses, unheld), idle_s = observer.presses.found(), observer.idle_s
+    (presses, unheld), idle_s = observer.found(), observer.idle_s
     model, skin, estimate = observer.model, observer.pipeline.skin, observer.pipeline.estimate
     what, cure = "seconds untouched at first", "touch nothing in that time"
     untouched = at_least("rest", what, idle_s, LEAST_IDLE_S, cure)
@@ -120,6 +119,20 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
         *_values(calibration, fit, given=given),
     ]
     return Result(calibration, model, presses, fit, rules)
+
+
+def uncalibrated(config: Config) -> Config:
+    """The configuration of a daemon without a calibration.
+
+    Raises:
+        SetupError: it does not say which object is pressed.
+    """
+    if len(config.scene.names) != 1:
+        key = "scene.bundles" if config.scene.bundles else "scene.bundle"
+        raise SetupError(
+            f"{key}: a skin is calibrated by presses of one object: name one scene.bundle"
+        )
+    return replace(config, skin=replace(config.skin, calibration=""))
 
 
 def fitted(

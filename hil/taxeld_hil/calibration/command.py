@@ -1,34 +1,53 @@
 """`taxeld calibrate`: entered by the `taxeld` command, which holds its options.
 
-It writes the calibration's file, and beside it the result in words and as a picture.
+A skin on a robot is recorded while the user is told what to do next. A session becomes the
+calibration's file, and beside it the result in words and as a picture.
 """
 
 import argparse
 import signal
+import time
+from collections.abc import Callable
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 
 from taxeld.command_line import FAILED
+from taxeld.commands.record import Recording
 from taxeld.config.file import load
+from taxeld.config.tables import Config
 from taxeld.errors import SetupError
+from taxeld.pipeline.poses import PoseTrack
 from taxeld.service import calibration_file
+from taxeld.service.prepare import prepared
 from taxeld.source import session
 from taxeld_hil import rules
 from taxeld_hil.calibration import check
-from taxeld_hil.calibration.calibrate import Result, of_session
-from taxeld_hil.calibration.guided import Guided
+from taxeld_hil.calibration.calibrate import (
+    LEAST_PRESSES,
+    Result,
+    covered,
+    of_session,
+    sides,
+    uncalibrated,
+)
 from taxeld_hil.calibration.picture import draw
+from taxeld_hil.calibration.presses import Observer
+from taxeld_protocol.decoder import Scan
 
 IDLE_S, PRESSES = 60.0, 20  # seconds without touch, and presses, that are asked for
+LOOK_S = 0.5  # between two looks at the presses
+TELL_S = 10.0  # of rest, between two lines
+NO_SCANS_S = 15.0  # without any scan; a hub that was just powered needs seconds
+EIGHTH_DEG = 45.0  # a side of the skin
 
 _say = partial(print, flush=True)
 
 
 def run(args: argparse.Namespace) -> int:
     """0 fine, 1 a value is wrong, or ended before all presses were there. Raises SetupError."""
-    placed = None if args.object is None else np.array(args.object)
     directory = args.source
     if args.check:
         found = check.of_session(directory, session.config_of(directory))
@@ -41,18 +60,14 @@ def run(args: argparse.Namespace) -> int:
     else:
         config = load(args.source)
         guided = Guided(config, args.source, args.out, IDLE_S, PRESSES, _say)
-
-        def stop(*_: object) -> None:
-            guided.recording.stopping = True
-
-        signal.signal(signal.SIGTERM, stop)
-        signal.signal(signal.SIGINT, stop)
+        signal.signal(signal.SIGTERM, guided.stop)
+        signal.signal(signal.SIGINT, guided.stop)
         if not guided.run():
             return FAILED
         signal.signal(signal.SIGINT, signal.default_int_handler)
         directory = guided.directory
-    result = of_session(directory, config, placed)
-    _say(_write(result, args.out))
+    placed = None if args.object is None else np.array(args.object)
+    _say(_write(of_session(directory, config, placed), args.out))
     _say(f"written: {args.out}, and beside it a text and a picture")
     return 0
 
@@ -72,3 +87,99 @@ def _write(result: Result, out: Path) -> str:
             f"--out: cannot write {error.filename or out} ({error.strerror})"
         ) from None
     return text
+
+
+class Guided:
+    """A recording of a skin and a robot that asks for presses, and counts them as the fit will."""
+
+    def __init__(
+        self,
+        config: Config,
+        config_path: Path,
+        out: Path,
+        idle_s: float,
+        presses: int,
+        say: Callable[[str], None],
+    ) -> None:
+        """`out`: file of the calibration; the session is recorded beside it.
+
+        Raises:
+            SetupError: the configuration has no robot, or something in it cannot be used.
+        """
+        if not config.sensor_pose.endpoint:
+            raise SetupError(
+                "sensor_pose.endpoint: is empty; a calibration needs the robot's poses"
+            )
+        config = uncalibrated(config)
+        names = (".session" if k == 1 else f".session-{k}" for k in count(1))
+        places = (out.with_suffix(name) for name in names)
+        self.directory = next(place for place in places if not (place / session.ABOUT).exists())
+        self._recording = Recording(config, config_path, self.directory)
+        self._observer = Observer(prepared(config, time.time()).pipeline)
+        self._idle_s, self._wanted, self._say = idle_s, presses, say
+        self._begun_s = self._next_look_s = time.monotonic()
+        self._line = ""  # that was said last
+
+    def stop(self, *_: object) -> None:
+        """End the recording; takes a signal's arguments."""
+        self._recording.stopping = True
+
+    def run(self) -> bool:
+        """Record; → whether all presses are there."""
+        self._say(
+            f"1. touch nothing for {self._idle_s:.0f} s; the object is held fast, the sensor away"
+        )
+        self._say(self._recording.run(self._on_poll))
+        held = len(self._observer.found()[0])
+        if held >= self._wanted:
+            return True
+        if self._recording.failed:
+            self._say("the disk took no more; make room and begin again")
+            return False
+        more = f"; what was recorded can be: taxeld calibrate {self.directory} --out FILE"
+        self._say(
+            f"ended after {held} of {self._wanted} presses: nothing is fitted"
+            f"{more if held >= LEAST_PRESSES else ''}"
+        )
+        return False
+
+    def _on_poll(self, scans: list[Scan], track: PoseTrack) -> None:
+        now_s, pipeline = time.monotonic(), self._observer.pipeline
+        pipeline.stages[0].poses = track
+        for outcome in pipeline.advance(scans, time.time()):
+            self._observer.on_outcome(outcome)
+        if not self._recording.scans and now_s - self._begun_s > NO_SCANS_S:
+            raise SetupError(
+                f"source.channel: no scan came within {NO_SCANS_S:.0f} s; check the skin "
+                "(taxeld-hil accept)"
+            )
+        if now_s >= self._next_look_s:
+            self._next_look_s, before = now_s + LOOK_S, self._line
+            self._line = self._now()
+            if self._line != before:
+                self._say(self._line)
+
+    def _now(self) -> str:
+        """What the user has to know at this time. It is said when it changes."""
+        observer, wanted, done_s = self._observer, self._wanted, self._observer.idle_s
+        if done_s < self._idle_s:
+            if observer.is_touched:
+                raise SetupError(
+                    f"calibrate: something was touched after {done_s:.0f} of {self._idle_s:.0f} s; "
+                    "keep the skin clear and begin again; what was recorded can be removed"
+                )
+            return f"   {done_s // TELL_S * TELL_S:.0f} of {self._idle_s:.0f} s"
+        if observer.pipeline.poses.latest_t < 0.0:
+            return "   no pose has come from the robot yet (sensor_pose.endpoint)"
+        presses, unheld = observer.found()
+        if not presses and not unheld:
+            return (
+                f"2. press the object {wanted} times, 4 to 5 mm deep, each time still for a "
+                "second; go round it, and turn the sensor so that another side of the skin presses"
+            )
+        self._recording.stopping |= len(presses) >= wanted
+        felt = np.bincount(sides(observer.model, presses), minlength=8)
+        least = np.where(covered(observer.model), felt, len(presses) + 1).argmin()
+        also = f" ({unheld} more were not held still)" if unheld else ""
+        side = f"next with the skin's side at {EIGHTH_DEG * least:.0f}°"
+        return f"   {len(presses)} of {wanted}{also}; {side}"

@@ -12,11 +12,13 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model import se2
+from taxeld.pipeline.pipeline import Outcome, Pipeline
 
 STILL_M = 2e-4  # the largest motion of a point of the skin between two scans of a hold
 LEAST_SCANS, MOST_SCANS = 4, 20  # scans in a hold
 ENDED = 0.25  # share of a press's largest sum: below it the press is over
 DEEPER = 1.1  # times what an earlier hold of the same press read: then the later hold is used
+THRESHOLDS = 3.0  # times a taxel's own threshold: a lighter touch is no press
 WEAK = 0.2  # share of the usual strongest reading: a weaker one is the foam's residue
 
 
@@ -90,3 +92,29 @@ class PressFinder:
         else:
             self._held.append(best)
         self._scans, self._peak, self._strongest = [], 0.0, 0.0
+
+
+class Observer(PressFinder):
+    """Collects rest and presses from the outcomes of a pipeline without a calibration."""
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        layout = pipeline.skin.layout
+        super().__init__(len(layout), layout.radius_m)
+        self.pipeline, self.model = pipeline, pipeline.estimator.model
+        self.is_touched = False  # now or before
+        self.idle_s = 0.0  # time for which the skin was left alone at the start
+        self.t = 0.0  # of the last scan, Unix seconds
+        self._begun_s: float | None = None
+
+    def on_outcome(self, outcome: Outcome) -> None:
+        """Take what a scan led to."""
+        if outcome.activation is None:
+            return
+        skin, live, self.t = self.pipeline.skin, outcome.activation.live, outcome.activation.t
+        self.is_touched |= skin.touched
+        self._begun_s = self.t if self._begun_s is None else self._begun_s
+        if not self.is_touched:
+            self.idle_s = self.t - self._begun_s
+        if outcome.sensor is not None:
+            felt = live & (skin.over > THRESHOLDS * skin.threshold)
+            self.take(outcome.sensor, skin.over, live, felt)

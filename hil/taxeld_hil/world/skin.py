@@ -14,7 +14,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.skin.calibration import Calibration
 from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.soft_skin import CrossTalk, Foam, PerPress, Response, ThermalDrift, drawn
+from taxeld_hil.world.soft_skin import Foam, PerPress, Response, ThermalDrift, cross_talk, drawn
 from taxeld_protocol.modules import Module
 
 COUNT_MAX = 0xFFFF
@@ -79,7 +79,7 @@ class SimulatedSkin:
         self._sag_m = PerPress(skin.sag_m, taxels, own)
         self.response = Response(skin, taxels, own)
         self._foam = Foam(skin, taxels, own)
-        self._cross_talk = CrossTalk(layout, skin.cross_talk, own)
+        self._cross_talk = cross_talk(layout, skin.cross_talk, own)
         self._thermal = ThermalDrift(
             taxels, skin.drift_counts_per_min, skin.drift_period_s, skin.drift_cv, own
         )
@@ -127,8 +127,8 @@ class SimulatedSkin:
             self._foam.end()
         if not self.depth.any() and not self._foam.is_felt:
             return np.zeros(len(self.depth))
-        reading = self._foam.press(self.response(self.depth), t)
-        return self._cross_talk.add(self.full_scale * reading)
+        counts = self.full_scale * self._foam.press(self.response(self.depth), t)
+        return np.asarray(counts + self._cross_talk @ counts)
 
     def counts(self, seen: Poses, t: float, *, touching: bool) -> list[int]:
         """One scan, channel by channel, as of `press`; 0 where a taxel is dead. `touching`: whether

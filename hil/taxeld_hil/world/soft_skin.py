@@ -117,23 +117,18 @@ class Response:
         return np.asarray(mean_response(h, self._bend) + self.steeper * deviation(h))
 
 
-class CrossTalk:
-    """The part of other presses on its module that a taxel reads: a share for each pair of taxels.
+def cross_talk(layout: Layout, pair: Pair, rng: np.random.Generator) -> Floats:
+    """(M, M) the share of a press that each other taxel of its module reads.
 
     They add up, as currents do. So what is read falls while all presses fade, whichever of them
     then is the strongest.
     """
-
-    def __init__(self, layout: Layout, pair: Pair, rng: np.random.Generator) -> None:
-        normal = rng.standard_normal((len(layout), len(layout)))
-        share = drawn(pair, np.tril(normal) + np.tril(normal, -1).T)
-        module = layout.uid >> 4
-        self._share = np.where(module[:, None] == module, share, 0.0)
-        np.fill_diagonal(self._share, 0.0)
-
-    def add(self, counts: Floats) -> Floats:
-        """Counts (M,) of presses with what the others of each module couple into them."""
-        return np.asarray(counts + self._share @ counts)
+    normal = rng.standard_normal((len(layout), len(layout)))
+    share = drawn(pair, np.tril(normal) + np.tril(normal, -1).T)
+    module = layout.uid >> 4
+    share[module[:, None] != module] = 0.0
+    np.fill_diagonal(share, 0.0)
+    return share
 
 
 class ThermalDrift:
