@@ -116,27 +116,11 @@ def play(case: Case, seed: int) -> list[Touch]:
         note_s = world.touched_s()[touch, 1] + SEEN_S
         if guide is not None:  # at rest, before it is told where to go on
             note_s = max(note_s, world.duration_s + SCAN_S)
-        cost = _Cost(pipeline)
-        for outcome in direct.outcomes(note_s):
-            cost.add(outcome)
-        found.append(_noted(pipeline, world, note_s, true, cost, guide_ms))
-    return [*found, _pushed(direct, true)] if case.guide == "push" else found
-
-
-def _pushed(direct: Direct, true: int) -> Touch:
-    """The estimate at the end of a push, and the median error meanwhile."""
-    world, pipeline = direct.world, direct.pipeline
-    world.push()
-    cost, errors = _Cost(pipeline), list[float]()
-    scene = pipeline.estimator.known[true].model.scene
-    for outcome in direct.outcomes(world.duration_s):
-        cost.add(outcome)
-        if world.pushed_m and pipeline.is_touched:
-            errors.append(_error_mm(world, scene, pipeline.estimate.map, direct.t))
-        if world.pushed_m >= PUSH_M:
-            break
-    last = _noted(pipeline, world, direct.t, true, cost, 0.0)
-    return last._replace(path_mm=round(float(np.median(errors or math.nan)), 4))
+        found.append(_noted(direct, note_s, true, guide_ms))
+    if case.guide == "push":
+        world.push()
+        found.append(_noted(direct, world.duration_s, true, 0.0))
+    return found
 
 
 def moments(case: Case, seed: int) -> Iterator[Moment]:
@@ -161,53 +145,41 @@ def _number(case: Case) -> int:
     return known.index(touched) if touched in known else -1
 
 
-class _Cost:
-    """Processor time of a touch."""
-
-    def __init__(self, pipeline: Pipeline) -> None:
-        self._estimator = pipeline.estimator
-        self._thoughts = self._estimator.counters.thoughts
-        self._all_ns, self._idle_ns = 0, list[int]()
-
-    def add(self, outcome: Outcome) -> None:
-        spent_ns, estimator = outcome.filter_ns + outcome.propose_ns, self._estimator
-        self._all_ns += spent_ns
+def _noted(direct: Direct, until_s: float, true: int, guide_ms: float) -> Touch:
+    """The estimate at a scenario time, or once the object was pushed far enough; `true`: number of
+    the object that is touched."""
+    world, pipeline = direct.world, direct.pipeline
+    estimator, freshness = pipeline.estimator, pipeline.freshness
+    scene, thoughts = estimator.known[true].model.scene, estimator.counters.thoughts
+    all_ns, idle_ns, path_mm = 0, list[int](), list[float]()
+    for outcome in direct.outcomes(until_s):
+        spent_ns = outcome.filter_ns + outcome.propose_ns
+        all_ns += spent_ns
         is_idle = outcome.is_used and estimator.used is None
-        if is_idle and estimator.counters.thoughts == self._thoughts:
-            self._idle_ns.append(spent_ns)
-        self._thoughts = estimator.counters.thoughts
-
-    @property
-    def ms(self) -> float:
-        return 1e-6 * self._all_ns
-
-    @property
-    def idle_ms(self) -> float:
-        """Of a second of scans that tell nothing."""
-        return 1e-6 * float(np.mean(self._idle_ns)) / SCAN_S if self._idle_ns else math.nan
-
-
-def _noted(
-    pipeline: Pipeline, world: World, t: float, true: int, cost: _Cost, guide_ms: float
-) -> Touch:
+        if is_idle and estimator.counters.thoughts == thoughts:
+            idle_ns.append(spent_ns)
+        thoughts = estimator.counters.thoughts
+        if world.pushed_m and pipeline.is_touched:
+            path_mm.append(_error_mm(world, scene, pipeline.estimate.map, direct.t))
+        if world.pushed_m >= PUSH_M:
+            break
     now = pipeline.estimate
-    is_valid = pipeline.freshness.why(now) is Why.VALID
-    error_mm = math.nan
-    if now.object == true:
-        error_mm = _error_mm(world, pipeline.estimator.known[true].model.scene, now.map, t)
+    error_mm = _error_mm(world, scene, now.map, until_s) if now.object == true else math.nan
+    idle_ms = 1e-6 * float(np.mean(idle_ns)) / SCAN_S if idle_ns else math.nan
     return Touch(
         object=now.object,
         error_mm=round(error_mm, 4),
-        p=round(now.p, 6) if is_valid else 0.0,
+        p=round(now.p, 6) if freshness.why(now) is Why.VALID else 0.0,
         radius_mm=round(1e3 * now.radius_m, 4),
         objects=tuple(float(f"{share:.6g}") for share in now.objects),
         other=round(now.hypotheses.other, 6),
         moved=round(now.hypotheses.moved, 6),
         status=now.status.name.lower(),
         particles=now.particles,
-        ms=round(cost.ms, 4),
-        idle_ms=round(cost.idle_ms, 4),
+        ms=round(1e-6 * all_ns, 4),
+        idle_ms=round(idle_ms, 4),
         guide_ms=round(guide_ms, 4),
+        path_mm=round(float(np.median(path_mm or math.nan)), 4),
     )
 
 
