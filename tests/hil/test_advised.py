@@ -58,7 +58,7 @@ def test_it_touches_on_the_straight_way_alone_and_as_deep_as_advised(direction: 
     pressed = gap < 0.0
     assert np.count_nonzero(np.diff(pressed.astype(int)) == 1) == 2
     assert -DEPTH_M - 0.002 < gap.min() < -0.5 * DEPTH_M  # a millimetre is felt
-    assert np.allclose(path.end, approach(0.02, direction).before)
+    assert np.allclose(path.at(path.duration_s), approach(0.02, direction).before)
     step = np.linalg.norm(np.diff(sensors[:, :2], axis=0), axis=1)
     assert step.max() < 0.005 * 1.01 * robot.TRAVEL_M_S
     assert step[pressed[1:]].max() < 0.005 * 1.01 * robot.PRESS_M_S
@@ -71,7 +71,7 @@ def test_where_there_is_nothing_it_goes_to_the_end_and_back() -> None:
     sensors = np.array([path.at(t) for t in np.arange(0.0, path.duration_s, 0.005)])
     assert gap_m(sensors).min() > 0.0
     assert np.linalg.norm(sensors - missed.until, axis=1).min() < 0.002
-    assert np.allclose(path.end, missed.before)
+    assert np.allclose(path.at(path.duration_s), missed.before)
 
 
 @pytest.mark.check

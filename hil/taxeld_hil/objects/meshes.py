@@ -10,6 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from taxeld.arrays import Floats
 from taxeld.errors import SetupError
 
 MIN_AREA_M2 = 1e-6  # slivers of a scan, smaller than a square millimetre, are no outline
@@ -143,9 +144,7 @@ def fill(shape: BaseGeometry) -> BaseGeometry:
     return shapely.union_all(solid)
 
 
-def signed_distance(
-    shape: BaseGeometry, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def signed_distance(shape: BaseGeometry, x: Floats, y: Floats) -> NDArray[np.float32]:
     """Distance [m] of points x, y (any shape) to the shape's boundary, negative inside, of x's
     shape (...)."""
     boundary = shape.boundary

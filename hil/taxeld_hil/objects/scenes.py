@@ -9,6 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from taxeld.arrays import Floats
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS, Scene
@@ -48,7 +49,7 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
     cell = CELL_M * fineness(union)
     parts = sorted(shapely.get_parts(union), key=lambda part: -part.area)
     islands = [_around(part, ISLAND_POINTS) for part in parts[1:]]
-    x, y, origin = _grid(union, layout.radius_m + MARGIN_M, cell)
+    x, y, origin = grid(union, layout.radius_m + MARGIN_M, cell)
     order, centre = symmetry(shapes, union)
     return Scene(
         slices=np.stack([_distance(shape, x, y) for shape in shapes]),
@@ -72,12 +73,12 @@ def build_all(mesh: trimesh.Trimesh, at: Sequence[tuple[Layout, float]]) -> list
         SetupError: as of `build`.
     """
     scenes = [build(mesh, *link) for link in at]
-    if len(scenes) > 1:
-        shapes = [cut.shape for link in at for cut in outlines(mesh, *link)]
-        order, centre = symmetry(shapes, meshes.fill(shapely.union_all(shapes)))
-        surface = scenes[0].surface
-        scenes = [replace(s, symmetry=order, centre=centre, surface=surface) for s in scenes]
-    return scenes
+    if len(scenes) == 1:
+        return scenes
+    shapes = [cut.shape for link in at for cut in outlines(mesh, *link)]
+    order, centre = symmetry(shapes, meshes.fill(shapely.union_all(shapes)))
+    surface = scenes[0].surface
+    return [replace(s, symmetry=order, centre=centre, surface=surface) for s in scenes]
 
 
 def outlines(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[meshes.Outline]:
@@ -107,7 +108,7 @@ def fineness(union: BaseGeometry) -> float:
     return float(2.0 ** min(np.ceil(np.log2(radius_m / USUAL_RADIUS_M)), 0.0))
 
 
-def symmetry(shapes: list[BaseGeometry], union: BaseGeometry) -> tuple[int, NDArray[np.float64]]:
+def symmetry(shapes: list[BaseGeometry], union: BaseGeometry) -> tuple[int, Floats]:
     """Order of the rotation symmetry (CONTINUOUS, n, or 1) and its centre (2,)."""
     centre = np.array(union.centroid.coords[0])
     fine = fineness(union)
@@ -120,7 +121,7 @@ def symmetry(shapes: list[BaseGeometry], union: BaseGeometry) -> tuple[int, NDAr
 
 
 def _same_when_turned(
-    shapes: list[BaseGeometry], centre: NDArray[np.float64], angle: float, fine: float
+    shapes: list[BaseGeometry], centre: Floats, angle: float, fine: float
 ) -> bool:
     c, s = np.cos(angle), np.sin(angle)
     gaps = []
@@ -135,7 +136,7 @@ def _same_when_turned(
     return bool(rms < fine * SYMMETRY_RMS_M and gap.max() < fine * SYMMETRY_MAX_M)
 
 
-def _heights(layout: Layout) -> NDArray[np.float64]:
+def _heights(layout: Layout) -> Floats:
     """Mean heights of groups of taxels that lie within SLICE_STEP_M."""
     z = np.sort(layout.position_m[:, 2])
     groups: list[list[float]] = []
@@ -147,9 +148,8 @@ def _heights(layout: Layout) -> NDArray[np.float64]:
     return np.array([0.5 * (group[0] + group[-1]) for group in groups])
 
 
-def _grid(
-    shape: BaseGeometry, margin: float, cell: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def grid(shape: BaseGeometry, margin: float, cell: float) -> tuple[Floats, Floats, Floats]:
+    """x and y (ny, nx) of points about a shape, a margin beyond it; and the first one (2,)."""
     x0, y0, x1, y1 = shape.bounds
     xs = np.arange(x0 - margin, x1 + margin + cell, cell)
     ys = np.arange(y0 - margin, y1 + margin + cell, cell)
@@ -157,9 +157,7 @@ def _grid(
     return x, y, np.array([xs[0], ys[0]])
 
 
-def _distance(
-    shape: BaseGeometry, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def _distance(shape: BaseGeometry, x: Floats, y: Floats) -> NDArray[np.float32]:
     if shape.is_empty:
         return np.full(x.shape, FAR_M, dtype=np.float32)
     distance = meshes.signed_distance(shape, x, y)
@@ -170,14 +168,14 @@ def _largest(shape: BaseGeometry) -> BaseGeometry:
     return max(shapely.get_parts(shape), key=lambda part: part.area)
 
 
-def _around(polygon: BaseGeometry, n: int) -> NDArray[np.float64]:
+def _around(polygon: BaseGeometry, n: int) -> Floats:
     """(n, 2) points spaced evenly along a polygon's exterior."""
     ring = polygon.exterior
     at = np.linspace(0.0, ring.length, n, endpoint=False)
     return np.asarray(shapely.get_coordinates(shapely.line_interpolate_point(ring, at)))
 
 
-def _surface(shapes: list[BaseGeometry], heights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _surface(shapes: list[BaseGeometry], heights: Floats) -> Floats:
     """(Q, 3) points around every slice, the same number on each."""
     points = []
     for shape, z in zip(shapes, heights, strict=True):

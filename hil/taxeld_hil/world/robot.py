@@ -36,11 +36,6 @@ class RobotPath:
     off_t: Floats = field(default_factory=lambda: np.zeros(1))  # (K,)
 
     @property
-    def end(self) -> Poses:
-        x, y, theta = self.pose[-1]
-        return np.array([x, y, se2.wrap(theta)])
-
-    @property
     def duration_s(self) -> float:
         return float(self.t[-1])
 
@@ -123,8 +118,7 @@ class LinkRobot:
 
     def push(self, begin: Poses, until: Poses) -> None:
         """Go to a pose and, as slowly as one pushes, straight on to another."""
-        begun_s = self._go(begin, TRAVEL_M_S)
-        self._touched.append([begun_s, self._go(until, PUSH_M_S)])
+        self._touched.append([self._go(begin, TRAVEL_M_S), self._go(until, PUSH_M_S)])
 
     def _go(self, pose: Poses, speed_m_s: float, after_s: float = 0.0) -> float:
         """Go on to a pose (3,) at a speed, or within so long; → when it is there."""

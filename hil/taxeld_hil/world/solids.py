@@ -85,19 +85,14 @@ def build(path: Path, height_m: float, reach_z_m: float, scale: float = 1.0) -> 
     import shapely  # noqa: PLC0415  (an extra)
     from scipy import ndimage  # noqa: PLC0415
 
-    from taxeld_hil.objects import meshes  # noqa: PLC0415
+    from taxeld_hil.objects import meshes, scenes  # noqa: PLC0415
 
     mesh = meshes.load(path)
     mesh.apply_scale(scale)
     heights = np.arange(OFF_M - reach_z_m, reach_z_m + CELL_M, CELL_M)
     bottom = float(mesh.bounds[0][2]) + height_m
     shapes = [meshes.outline(mesh, bottom + z).shape for z in heights]
-    (low, high), plan = mesh.bounds[:, :2], mesh.vertices[:, :2]
-    xs, ys = (
-        np.arange(a - MARGIN_M, b + MARGIN_M + CELL_M, CELL_M)
-        for a, b in zip(low, high, strict=True)
-    )
-    x, y = np.meshgrid(xs, ys)
+    x, y, corner = scenes.grid(shapely.union_all(shapes), MARGIN_M, CELL_M)
     points = shapely.points(x, y)
     values = np.full((len(heights), *x.shape), MARGIN_M, np.float32)
     for shape, value in zip(shapes, values, strict=True):
@@ -109,6 +104,6 @@ def build(path: Path, height_m: float, reach_z_m: float, scale: float = 1.0) -> 
         distance[near] = shapely.distance(edge, points[near])
         distance = np.where(shapely.contains_xy(shape, x, y), -distance, distance)
         value[:] = np.minimum(distance, MARGIN_M)
-    centre = 0.5 * (low + high)
-    size = np.linalg.norm(plan - centre, axis=1).max()
-    return Solid(values, np.array([xs[0], ys[0], heights[0]]), centre, size)
+    centre = mesh.bounds[:, :2].mean(axis=0)
+    size = np.linalg.norm(mesh.vertices[:, :2] - centre, axis=1).max()
+    return Solid(values, np.array([*corner, heights[0]]), centre, size)

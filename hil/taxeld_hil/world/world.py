@@ -237,8 +237,9 @@ def made(
     Raises:
         SetupError: the object or a layout cannot be found, read or used.
     """
+    links = model_of(subject, *specs).links
     solid = None if given.is_exact else solid_of(subject, *specs)
-    world = World(model_of(subject, *specs).links, given, seed, solid, kind)
+    world = World(links, given, seed, solid, kind)
     world.plan(guide, touches)
     return world
 
