@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taxeld_hil.objects.scenes import GRAIN_M
 from taxeld_hil.world import subjects
 from tests.hil.rig import DEMO, passing
 
@@ -28,7 +29,8 @@ def test_a_bundle_on_another_layout_is_its_object_at_that_layouts_heights() -> N
         subjects.on_layout("box", spec) for spec in (DEMO.skin_layout, more, wrap)
     )
     assert (shipped.order[0], same.order, other.order) == ("density-64", ("table",), ("table",))
-    assert np.array_equal(same.model.scene.slices, shipped.model.scene.slices)
+    off_m = np.abs(same.model.scene.slices - shipped.model.scene.slices)
+    assert off_m.max() <= GRAIN_M  # a distance between two grains may be rounded either way
     assert len(other.model.scene.heights) == 4
     assert other.model.depth_max_m == shipped.model.depth_max_m
 
