@@ -25,10 +25,10 @@ Draw = Callable[[Observation, int], Poses]
 
 PUSHED_M = 2e-4  # m between two scans: a shorter way is a press that settles
 ROOM = 3.0  # half-widths of the table around the last touch: the whole table, and more
-MOVES = 2  # Metropolis steps a contact
 TELLING = 1.0  # nats that a silent scan must cost some particle to be remembered
 SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # candidate factors on the configured slack
 EXPECTING = 32  # poses by which a belief tells what it expects
+FITTING = 32  # particles by which the slack is fitted, about
 SLACK_NATS = 1.0  # nats of evidence needed to change the slack
 SEARCHES = 2  # after a contact, at most
 SEARCHED = 4  # contacts whose samples a search takes
@@ -120,10 +120,10 @@ class Mixture:
                 is_known = memory.prior is not None or memory.term is not None
                 if self._has_more or is_known:
                     opinion = self._merged(opinion)
-                self._become(opinion, moves=MOVES)
+                self._become(opinion)
                 self._fit_slack()
             elif pf.resampling_is_due(self.belief):
-                self._become(self.belief, moves=1)
+                self._become(self.belief)
         # silence that the belief expected changes no verdict, and before a touch there is none
         is_felt = bool(self.memory.contact.any()) or self.memory.prior is not None
         if len(samples) or (is_felt and abs(evidence) > 1.0 - SURE):
@@ -145,7 +145,7 @@ class Mixture:
         at = memory.terms - len(memory) - 1  # the term's column
         samples = term.samples(max(self._wanted, 1), self._rng)
         opinion = self._weighed(samples, lambda explained: explained[:, at], self._rng)
-        self._become(self._merged(opinion), moves=1)
+        self._become(self._merged(opinion))
         self._searches, self._is_searched = 0, False
         self._judge(has_looked=False)
 
@@ -190,7 +190,7 @@ class Mixture:
         if not found:  # there is no time
             return 0
         self._searches += 1
-        self._become(self.belief, moves=1)
+        self._become(self.belief)
         self._judge(has_looked=True)
         return found
 
@@ -205,7 +205,7 @@ class Mixture:
             if not len(samples):
                 continue
             opinion = self.opinion(samples, scan, self._rng)
-            self._become(self._merged(opinion) if used else opinion, moves=MOVES)
+            self._become(self._merged(opinion) if used else opinion)
             used += len(samples)
         if not used:
             self.belief.remembered = self.memory.explain(self.belief.pose)
@@ -241,18 +241,12 @@ class Mixture:
         self, samples: Poses, own: Support, rng: np.random.Generator, power: float = 1.0
     ) -> Belief:
         """Samples (S, 3) of log-density `own`, weighed and drawn anew by that of the belief, to
-        this power, and moved once."""
-        memory = self.memory
-
-        def all_of_it(explained: Floats) -> Floats:
-            return power * memory.runs.support(explained)
-
-        opinion = pf.equal(samples, memory.explain(samples))
-        opinion.log_weight = all_of_it(opinion.remembered) - own(opinion.remembered)
+        this power."""
+        opinion = pf.equal(samples, self.memory.explain(samples))
+        explained = opinion.remembered
+        opinion.log_weight = power * self.memory.runs.support(explained) - own(explained)
         pf.normalise(opinion)
-        opinion = pf.resample(opinion, len(samples), rng)
-        pf.rejuvenate(opinion, memory.explain, all_of_it, rng, self._scale)
-        return opinion
+        return pf.resample(opinion, len(samples), rng)
 
     @property
     def _wanted(self) -> int:
@@ -300,16 +294,17 @@ class Mixture:
         at = int(np.flatnonzero(now.scale == SCALES)[0])
         others = [scale for scale in SCALES[max(at - 1, 0) : at + 2].tolist() if scale != now.scale]
         tried = [replace(memory, slack=replace(now, scale=scale)) for scale in others]
-        remembered = [each.explain(belief.pose) for each in tried]
-        support = memory.runs.support
-        gain = [support(each) - support(belief.remembered) for each in remembered]
-        gained = [_log_mean(each) for each in gain]
+        support, some = memory.runs.support, slice(None, None, max(len(belief) // FITTING, 1))
+        known = support(belief.remembered)
+        gained = [
+            _log_mean(support(each.explain(belief.pose[some])) - known[some]) for each in tried
+        ]
         best = int(np.argmax(gained))
         if gained[best] > SLACK_NATS:
             self.memory = tried[best]
-            pf.reweight(belief, gain[best])
-            belief.remembered = remembered[best]
-            self._become(belief, moves=1)
+            belief.remembered = self.memory.explain(belief.pose)
+            pf.reweight(belief, support(belief.remembered) - known)
+            self._become(belief)
 
     def _begin_anew(self, scan: ScanEvidence, samples: Poses) -> None:
         """Begin with the samples (S, 3) of a contact, or with a uniform belief."""
@@ -318,7 +313,7 @@ class Mixture:
         if len(samples):
             self.memory = self.memory.plus(scan, self.log_z)
             opinion = pf.equal(samples, self.memory.explain(samples))
-            self._become(opinion, moves=MOVES)
+            self._become(opinion)
 
     def _merged(self, opinion: Belief) -> Belief:
         """The belief merged with an opinion. Samples know nothing of how the object slides,
@@ -330,18 +325,16 @@ class Mixture:
         runs, evidence = self.memory.runs, self._evidence
         return pf.merge(belief, evidence.of(belief, runs), opinion, evidence.of(opinion, runs))
 
-    def _become(self, belief: Belief, moves: int) -> None:
+    def _become(self, belief: Belief) -> None:
         """Resample to the number of equal particles that this width needs, and separate the
-        copies."""
+        copies by a move."""
         self.belief = pf.resample(belief, self._size(belief), self._rng)
         memory, touch = self.memory, self.memory.last_touch
         # around the last touch, as the sensor may have gone elsewhere since
         centre = np.array(self._config.centre_m) if touch is None else touch
         room = pf.Room(centre, ROOM * self._config.half_width_m)
-        for _ in range(moves):
-            pf.rejuvenate(
-                self.belief, memory.explain, memory.runs.support, self._rng, self._scale, room
-            )
+        support = memory.runs.support
+        pf.rejuvenate(self.belief, memory.explain, support, self._rng, self._scale, room)
 
     def _size(self, belief: Belief) -> int:
         config = self._config
