@@ -69,7 +69,7 @@ class Claims:
 
     def by_touch(self) -> dict[str, Any]:
         """Of trials (N, T): quantiles of the error after each touch, and how many are then found,
-        and found and sure; and how many estimates of all are sure, and mislead."""
+        found and sure, or misleading; and how many estimates of all are sure, and mislead."""
         median, most = np.quantile(self.error_mm, (0.5, 0.9), axis=0).round(2).tolist()
         return {
             "trials": len(self.p),
@@ -77,6 +77,7 @@ class Claims:
             "q90_mm": most,
             "found": self.found.sum(axis=0).tolist(),
             "found_and_sure": self.found_and_sure.sum(axis=0).tolist(),
+            "misleading_at": self.misleading.sum(axis=0).tolist(),
             "sure": int(self.sure.sum()),
             "misleading": int(self.misleading.sum()),
         }

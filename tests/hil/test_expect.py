@@ -11,7 +11,7 @@ from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld_hil import cli
 from taxeld_hil.experiment import expect
-from taxeld_hil.experiment.expect import AS_IS, Touched, cases
+from taxeld_hil.experiment.expect import AS_IS, cases
 from taxeld_hil.experiment.runs import RunRow
 from taxeld_hil.trials.play import Touch
 from taxeld_hil.trials.play import world_of as world_of_case
@@ -39,10 +39,16 @@ BAD = trial(1, AS_IS, (63.0, 1.0), (15.0, 0.5))
 
 
 def test_the_table_has_the_errors_and_shares_of_all_trials_after_each_touch() -> None:
-    assert expect.table([GOOD, BAD]) == [
-        Touched(1, 2, 47.0, pytest.approx(59.8), 0.0, 0.0, 0.5),
-        Touched(2, 2, 8.0, pytest.approx(13.6), 0.5, 0.5, 0.0),
-    ]
+    assert expect.claims([GOOD, BAD]).by_touch() == {
+        "trials": 2,
+        "median_mm": [47.0, 8.0],
+        "q90_mm": [59.8, 13.6],
+        "found": [0, 1],
+        "found_and_sure": [0, 1],
+        "misleading_at": [1, 0],
+        "sure": 2,
+        "misleading": 1,
+    }
 
 
 def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance() -> None:
@@ -125,7 +131,7 @@ def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
     assert "| 3 | " in first.out
     assert "calibration" in first.out
     found = json.loads((tmp_path / "expect.json").read_text(encoding="utf-8"))
-    assert [row["touches"] for row in found["touches"]] == [1, 2, 3]
+    assert len(found["touches"]["found"]) == 3
     assert len(found["runs"]) == 5
     assert cli.main(command) == 0
     again = capsys.readouterr()

@@ -62,7 +62,6 @@ def test_work_arguments_and_code_make_a_job_and_arguments_beside_do_not(tmp_path
     assert jobs.run([beside], tmp_path / "memory")["job"]["square"] == 0
     long = Job(f"{'/a' * 200}, seed 0", json.loads, ("[1]",))  # its name fits a file's
     assert jobs.run([long], tmp_path) == {long.name: [1]}
-    assert jobs.read(long, tmp_path) == [1]
 
 
 def test_results_before_a_failure_are_kept(tmp_path: Path) -> None:

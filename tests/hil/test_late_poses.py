@@ -1,7 +1,6 @@
 """A robot whose poses are a period late: its scans are placed by the speed of the last two, nearer
 than the robot's own error, and the object is found."""
 
-from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -24,15 +23,12 @@ def run(extrapolate_s: float) -> tuple[float, float, int]:
     pipeline, take = ran.daemon.pipeline, ran.daemon.pose
     track, at = pipeline.poses, pipeline.poses.at
     track.extrapolate_s = extrapolate_s  # type: ignore[union-attr]
-    told: list[tuple[float, ...]] = []
-    placed: list[tuple[float, Poses]] = []
-    on_the_way: deque[tuple[float, float, float, float]] = deque()
+    told, placed = list[tuple[float, ...]](), list[tuple[float, Poses]]()
 
-    def pose(t: float, x: float, y: float, theta: float, _: int = 0) -> None:
-        told.append((t, x, y))
-        on_the_way.append((t, x, y, theta))
-        if len(on_the_way) > 1:
-            take(*on_the_way.popleft())
+    def pose(*row: float) -> None:
+        told.append(row)
+        if len(told) > 1:
+            take(*told[-2])  # type: ignore[arg-type]
 
     def placing(t: float) -> Poses | None:
         found = at(t)
@@ -40,11 +36,11 @@ def run(extrapolate_s: float) -> tuple[float, float, int]:
             placed.append((t, found))
         return found
 
-    ran.daemon.pose = pose  # type: ignore[method-assign,assignment]
+    ran.daemon.pose = pose  # type: ignore[method-assign]
     track.at = placing  # type: ignore[method-assign]
     ran.run()
     error_m = add_m(ran.rig.model.scene, pipeline.estimate.map, ran.rig.world.truth)[1]
-    t, x, y = np.array(told).T
+    t, x, y, *_ = np.array(told).T
     off = [sensor[:2] - [np.interp(at_s, t, x), np.interp(at_s, t, y)] for at_s, sensor in placed]
     most_m = np.linalg.norm(off, axis=1).max()
     return 1e3 * error_m, 1e3 * float(most_m), pipeline.inputs.scans_waited

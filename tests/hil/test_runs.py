@@ -15,6 +15,8 @@ from taxeld_hil import cli
 from taxeld_hil.experiment import runs, soak
 from taxeld_hil.experiment.runs import RunRow
 from taxeld_hil.scenario import laps
+from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.trials import case
 from tests.hil.rig import DEMO, SKIN
 from tests.rig.skins import table_of
 
@@ -62,20 +64,23 @@ def test_a_run_of_other_code_another_scenario_or_another_bundle_is_not_remembere
     box = Path(str(resources.files("taxeld") / "bundles" / "box"))
     copy = shutil.copytree(box, tmp_path / "box")
     mine = DEMO.touching(str(copy))
-    codes = [runs.digest(each) for each in (DEMO, DEMO.on("poor"), mine)]
+
+    def code(subject: Scenario) -> str:
+        return runs.of("demo", subject, 0).code
+
+    codes = [code(each) for each in (DEMO, DEMO.on("poor"), mine)]
     with (copy / "bundle.json").open("a") as file:
         file.write("\n")
-    codes.append(runs.digest(mine))
+    codes.append(code(mine))
     assert len(set(codes)) == len(codes)
-    assert runs.digest(DEMO) == codes[0]
+    assert code(DEMO) == codes[0]
     own, found = tmp_path / "own.csv", set()
     for layout in (SKIN, layouts.load("wrap:modules=12,radius_m=0.04")):
         own.write_text(table_of(layout), encoding="ascii")
-        found.add(runs.digest(DEMO.on("", str(own))))
-        runs.content.cache_clear()  # another process
+        found.add(code(DEMO.on("", str(own))))
     assert len(found) == 2, "nor one of a layout file that was changed"
-    monkeypatch.setattr(runs, "code", lambda: "of other code")
-    assert runs.digest(DEMO) not in codes
+    monkeypatch.setattr(case, "code", lambda: "of other code")
+    assert code(DEMO) not in codes
 
 
 def test_a_measurement_goes_on_from_what_it_remembers_and_names_the_checks_that_failed(

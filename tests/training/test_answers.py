@@ -70,15 +70,11 @@ def test_expect_build_and_works_have_the_same_figures_of_the_same_trials(
     told = json.loads((tmp_path / "told" / "expect.json").read_text("utf-8"))["touches"]
     more = ("works", "--layout", RING, "--cells", "typical", "--seeds", "2")
     (row,) = (row for row in asked(tmp_path, block, *more)["works"] if "object" in row["of"])
-    for key, figures in (("found", "found"), ("found_and_sure", "found_and_sure")):
-        assert [each[key] * 2 for each in told] == row[figures]
-    assert [each["misleading"] * 2 for each in told] == row["misleading_at"]
-    medians = [each["median_mm"] for each in told]
-    assert medians == pytest.approx(row["median_mm"], abs=0.011)  # both are rounded
+    assert told.items() <= row.items()
     out = tmp_path / "built"
     assert main(["build", str(block), "--layout", RING, "--table", "--out", str(out)]) == 0
     (trials,) = closing.played([out], RING, "typical", [(TABLED, 0)], 2, lambda _: None)
-    assert Claims.of_trials(trials).by_touch()["median_mm"] == row["median_mm"]
+    assert Claims.of_trials(trials).by_touch() == told
 
 
 def test_guides_are_compared_from_the_same_first_touch(block: Path, tmp_path: Path) -> None:

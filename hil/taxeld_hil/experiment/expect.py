@@ -41,18 +41,6 @@ LEAST = 8  # seeds of which something is said
 CHANCE = 2.0  # standard errors that chance alone may make
 
 
-class Touched(NamedTuple):
-    """A row of the table: all trials after so many touches."""
-
-    touches: int
-    trials: int
-    median_mm: float
-    p90_mm: float
-    found: float  # shares of the trials
-    found_and_sure: float
-    misleading: float
-
-
 class Help(NamedTuple):
     """What a change does to the trials of the same seeds."""
 
@@ -125,23 +113,12 @@ def described(run: RunRow) -> str:
     return f"{errors} mm{', found and sure' * bool(claims([run]).found_and_sure[0, -1])}"
 
 
-def table(runs: Sequence[RunRow]) -> list[Touched]:
-    """A row for each number of touches."""
-    of = claims(runs)
-    median, p90 = np.quantile(of.error_mm, (0.5, 0.9), axis=0).tolist()
-    shares = (rule.mean(axis=0).tolist() for rule in (of.found, of.found_and_sure, of.misleading))
-    return [
-        Touched(k, len(runs), *row)
-        for k, row in enumerate(zip(median, p90, *shares, strict=True), 1)
-    ]
-
-
 def helps(runs: Sequence[RunRow]) -> list[Help]:
     """What each change does, by trials of the same seeds, most helpful first. Shares are those
     after the first touch after which half of the trials are sure without it, or the last."""
     base = {run["seed"]: run for run in runs if run["name"] == AS_IS}
-    rows = table(list(base.values()))
-    after = next((row.touches for row in rows if row.found_and_sure >= HALF), rows[-1].touches)
+    told = claims([*base.values()]).by_touch()["found_and_sure"]
+    after = next((k for k, sure in enumerate(told, 1) if sure >= HALF * len(base)), len(told))
     found = []
     for name in dict.fromkeys(run["name"] for run in runs if run["name"] != AS_IS):
         mine = [run for run in runs if run["name"] == name and run["seed"] in base]
@@ -168,13 +145,13 @@ def written(own: Case, runs: Sequence[RunRow], out: Path) -> Iterator[str]:
     """
     trials = [run for run in runs if run["name"] == AS_IS]
     model, given = model_of(own.subject, *own.specs), own.conditions
-    rows, changes = table(trials), helps(runs)
+    told, changes = claims(trials).by_touch(), helps(runs)
     asked = {"object": own.subject.name, "layout": own.specs[0], "foam": given.foam}
     measured.save(
         out / "expect.json",
         runs,
         asked=asked | {"robot_m": given.robot_m, "depth_m": model.depth_max_m},
-        touches=[row._asdict() for row in rows],
+        touches=told,
         helps=[each._asdict() for each in changes],
     )
     yield (
@@ -185,10 +162,11 @@ def written(own: Case, runs: Sequence[RunRow], out: Path) -> Iterator[str]:
     head = ["touches", "median mm", "90 % mm", f"found (< {FOUND_MM:.0f} mm)", "found and sure"]
     yield "| " + " | ".join([*head, "misleading"]) + " |"
     yield "|---" * (len(head) + 1) + "|"
-    for row in rows:
-        shares = [f"{share:.0%}" for share in (row.found, row.found_and_sure, row.misleading)]
-        errors = [f"{error_mm:.1f}" for error_mm in (row.median_mm, row.p90_mm)]
-        yield "| " + " | ".join([str(row.touches), *errors, *shares]) + " |"
+    keys = "median_mm", "q90_mm", "found", "found_and_sure", "misleading_at"
+    columns = (told[key] for key in keys)
+    for touch, (median, q90, *counts) in enumerate(zip(*columns, strict=True), 1):
+        shares = [f"{count / len(trials):.0%}" for count in counts]
+        yield "| " + " | ".join([str(touch), f"{median:.1f}", f"{q90:.1f}", *shares]) + " |"
     yield ""
     for each in changes:
         found, sure = (

@@ -1,24 +1,20 @@
 """Many runs as jobs, a row each: `taxeld-hil matrix` has scenarios on objects and skins, seed by
 seed, and says how many find theirs."""
 
-import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
-from taxeld.layout import read as layout_files
-from taxeld.proposals import bundle, manifest
 from taxeld_hil.integrity import is_found
 from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.run.live import SimulatedRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.trials.case import code
+from taxeld_hil.trials.case import digest
 from taxeld_hil.world.subjects import Subject, solid_of
 from taxeld_hil.world.world import load_model
 
@@ -58,7 +54,9 @@ def of(name: str, subject: Scenario, seed: int, *, real: bool = False) -> Job:
     """A run on the fake clock, or in real time."""
     bundle, skin, layout, _ = _about(subject, seed).values()
     words = ", ".join(filter(None, [name, bundle, skin, layout, f"seed {seed}"]))
-    return Job(words, play, (name, subject, seed, real), code=digest(subject))
+    specs = filter(None, (subject.layout, *subject.layouts))
+    code = digest(subject, map(Subject, (subject.bundle, *subject.bundles)), specs)
+    return Job(words, play, (name, subject, seed, real), code=code)
 
 
 def _about(subject: Scenario, seed: int) -> RunRow:
@@ -86,24 +84,6 @@ def play(name: str, subject: Scenario, seed: int, real: bool) -> RunRow:
         "seconds": grade.run.end_s,
         "growth_mb": grade.run.growth_mb,
     }
-
-
-def digest(subject: Scenario) -> str:
-    """Hash of all that a run of a scenario depends on but its seed: code, scenario, bundle, and
-    the content of a layout file.
-
-    Raises:
-        SetupError: the bundle or the file cannot be found or read.
-    """
-    info = manifest.read(bundle.find(subject.bundle) / manifest.NAME)  # has digests of its files
-    text = f"{code()}\0{subject!r}\0{content(subject.layout)}"
-    return hashlib.sha256(text.encode() + info).hexdigest()[:16]
-
-
-@cache
-def content(layout: str) -> str:
-    """The digest of a layout file, or of a line; empty: of the bundle's own."""
-    return layout_files.read(layout).digest if layout else ""
 
 
 def save(path: Path, runs: Sequence[RunRow], **about: Any) -> None:

@@ -263,8 +263,8 @@ class FakeRun(SessionRun):
         self.daemon.tick(t)
         pipeline = self.daemon.pipeline
         e = pipeline.estimate_at(t)
-        world, asked = self.rig.world, self.scenario
-        if asked.advised and world.touches < asked.contacts and e.t > world.duration_s:
+        world, more = self.rig.world, self.rig.world.touches < self.scenario.contacts
+        if self._guide is not None and more and e.t > world.duration_s:
             self._guide.lead(world, t)  # the belief has learned from the touch before
         if self.published is not None:
             add(self.published, t, topics.ESTIMATE, msgpack.packb(self.daemon.message(e, t)))
@@ -305,5 +305,6 @@ class FakeRun(SessionRun):
 
     def _born(self) -> FakeDaemon:
         born = FakeDaemon(self.config, self.scenes, self.lines, self._kept)
-        self._guide = BeliefGuide("advised", born.pipeline.estimator, self.seed)
+        advised, estimator = self.scenario.advised, born.pipeline.estimator
+        self._guide = BeliefGuide("advised", estimator, self.seed) if advised else None
         return born

@@ -1,6 +1,7 @@
 """A case: what is known, what is touched, by which skin, under which conditions and by whom."""
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -117,14 +118,8 @@ class Case:
 
     @property
     def digest(self) -> str:
-        """Hash of all that its trials depend on but the seed: itself, the code, and files."""
-        found = hashlib.sha256(f"{self!r}\0{code()}".encode())
-        for subject in dict.fromkeys((*self.known, self.subject)):
-            for file in subject.files:
-                found.update(file.read_bytes())
-        for spec in self.specs:
-            found.update(layouts.read(spec).digest.encode())
-        return found.hexdigest()[:16]
+        """Hash of all that its trials depend on but the seed."""
+        return digest(self, (*self.known, self.subject), self.specs)
 
     def proposals(self) -> list[Proposal]:
         """Of each known object.
@@ -134,6 +129,18 @@ class Case:
         """
         name = self.method.proposal
         return [proposal_of(each, name, model_of(each, *self.specs)) for each in self.known]
+
+
+def digest(what: object, subjects: Iterable[Subject], specs: Iterable[str]) -> str:
+    """Hash of a case or a scenario with its `repr`, of the code, and of the files of its objects
+    and layouts."""
+    found = hashlib.sha256(f"{what!r}\0{code()}".encode())
+    for subject in dict.fromkeys(subjects):
+        for file in subject.files:
+            found.update(file.read_bytes())
+    for spec in specs:
+        found.update(layouts.read(spec).digest.encode())
+    return found.hexdigest()[:16]
 
 
 def code() -> str:

@@ -87,7 +87,6 @@ def figures(group: Sequence[Played], quiet: dict[str, float]) -> Row:
     of = Claims(p, radius_mm, error_mm)
     row: Row = {"seeds": len(set(seeds.tolist())), **of.by_touch()}
     row["to_sure"] = round(float(to_sure(of).mean()), 3)
-    row["misleading_at"] = of.misleading.sum(axis=0).tolist()
     ci: Row = {"to_sure": by_seeds(np.mean, to_sure(of), seeds, 3)}
     for name, rule in (("found", of.found), ("found_and_sure", of.found_and_sure)):
         ci[name] = [of_share(after, np.ones(len(after)), seeds) for after in rule.T]
