@@ -42,18 +42,13 @@ def test_an_answer_goes_on_where_it_was_cut_and_more_seeds_add_to_it(
     monkeypatch.setattr(run, "BLOCK", 2)
     few = asked(tmp_path, block, "works", "advice", "--cells", "exact,random", "--seeds", "2")
     assert "| block | " in capsys.readouterr().out
-    assert {key: len(rows) for key, rows in few.items()} == {
-        "works": 3,
-        "works touches": 16,
-        "advice": 3,
-        "advice touches": 16,
-    }
+    counts = {"works": 3, "works touches": 16, "advice": 3, "advice touches": 16}
+    assert {key: len(rows) for key, rows in few.items()} == counts
     head = json.loads((tmp_path / "out" / "works.json").read_text("utf-8"))
     assert {"question", "commit", "command", "date"} < head.keys()
     before = written_at(tmp_path / "memory")
-    assert (
-        asked(tmp_path, block, "works", "--cells", "exact", "--seeds", "2")["works"] == few["works"]
-    )
+    again = asked(tmp_path, block, "works", "--cells", "exact", "--seeds", "2")
+    assert again["works"] == few["works"]
     jobs = {path: at for path, at in before.items() if path.suffix == ".json"}
     assert len(jobs) == 1, "two questions share their trials"
     more = asked(tmp_path, block, "works", "--cells", "exact", "--seeds", "4")
@@ -73,6 +68,7 @@ def test_expect_build_and_works_have_the_same_figures_of_the_same_trials(
     assert told.items() <= row.items()
     out = tmp_path / "built"
     assert main(["build", str(block), "--layout", RING, "--table", "--out", str(out)]) == 0
+    monkeypatch.setattr(closing, "BLOCK", 1)  # a trial by each of the workers
     (trials,) = closing.played([out], RING, "typical", [(TABLED, 0)], 2, lambda _: None)
     assert Claims.of_trials(trials).by_touch() == told
 
@@ -80,15 +76,13 @@ def test_expect_build_and_works_have_the_same_figures_of_the_same_trials(
 def test_guides_are_compared_from_the_same_first_touch(block: Path, tmp_path: Path) -> None:
     few = ("advice", "--cells", "exact,straight,advised", "--seeds", "1", "--layout", RING)
     touches = asked(tmp_path, block, *few)["advice touches"]
-    of = {
-        name: [each for each in touches if each["guide"] == name]
-        for name in ("straight", "advised")
-    }
-    first, second = (each[0]["error_mm"] for each in of.values())
-    assert first == second
-    assert [len(each) for each in of.values()] == [8, 8]
-    assert all(each["guide_ms"] > 0.0 for each in of["advised"][1:])
-    assert not any(each["guide_ms"] for each in of["straight"])
+    straight, advised = (
+        [each for each in touches if each["guide"] == name] for name in ("straight", "advised")
+    )
+    assert len(straight) == len(advised) == 8
+    assert straight[0]["error_mm"] == advised[0]["error_mm"]
+    assert all(each["guide_ms"] > 0.0 for each in advised[1:])
+    assert not any(each["guide_ms"] for each in straight)
 
 
 @pytest.mark.parametrize("motion", ["push", "none"])

@@ -138,12 +138,13 @@ def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel
         cells = cells.halved()
 
 
-def test_the_truth_stays_in_the_belief_and_the_estimate_reaches_it(
+def test_the_truth_stays_in_the_belief_from_the_first_touch_on_and_the_estimate_reaches_it(
     model: ObservationModel,
 ) -> None:
-    rng = situation(0)
-    truth = np.array([0.1, 0.2, rng.uniform(-np.pi, np.pi)])
+    rng, truth = situation(0), np.array([0.1, 0.2, 2.0])
     belief = GridFilter(model, NOISE, Slack())
+    belief.update(Observation(FAR, NOISE.draw(np.zeros(len(SKIN)), rng), LIVE), 0, touched=False)
+    assert len(belief) == len(belief.pose) == len(belief.weight) == 0
     for number, pose in enumerate(contact_poses(model, 6, rng), 1):
         z = NOISE.draw(model.activation(pose[None])[0], rng)
         sensor = se2.compose(truth, se2.inverse(pose))
@@ -152,13 +153,7 @@ def test_the_truth_stays_in_the_belief_and_the_estimate_reaches_it(
     assert symmetry.add_m(model.scene, belief.estimate(), truth)[1] < 0.002
 
 
-def test_there_is_no_belief_before_the_first_touch(model: ObservationModel) -> None:
-    belief = GridFilter(model, NOISE, Slack())
-    z = NOISE.draw(np.zeros(len(SKIN)), situation(0))
-    belief.update(Observation(FAR, z, LIVE), 0, touched=False)
-    assert len(belief) == len(belief.pose) == len(belief.weight) == 0
-
-
+@pytest.mark.check
 def test_the_belief_is_that_of_brute_force_and_all_that_a_scan_says_counts(
     model: ObservationModel,
 ) -> None:

@@ -149,6 +149,7 @@ def test_the_distance_of_two_normal_distributions_is_that_of_the_closed_form(shi
     assert (found < 0.0).any() == (shift == 0.0)
 
 
+@pytest.mark.check
 def test_contacts_made_around_a_reading_have_the_posterior_of_a_bank_that_is_large_enough(
     ring_model: ObservationModel,
 ) -> None:
@@ -174,6 +175,7 @@ def test_contacts_made_around_a_reading_have_the_posterior_of_a_bank_that_is_lar
     assert told >= 2
 
 
+@pytest.mark.check
 def test_no_reading_is_left_out_where_the_bank_alone_leaves_out_most(
     half_model: ObservationModel,
 ) -> None:

@@ -10,10 +10,11 @@ from taxeld_training.trials import questions
 from taxeld_training.trials.questions import Cell, Selection
 from tests.rig.commands import refused
 
-BOX, MUG = questions.listed("two")
+BOX, _ = questions.listed("two")
 OTHER = "cylinder:rows=2,columns=8,radius_m=0.05,pitch_m=0.015"
 
 
+WORKS = "exact", "typical", "poor", "robot 2 mm"
 ALL = Selection()
 
 
@@ -65,42 +66,36 @@ def test_what_the_filter_was_tuned_on_is_fixed() -> None:
     assert not any("soft skin" in c.labels["part"] for c in wrong)
 
 
+MOVED = {"moved 2 mm", "moved 5 mm", "moved 25 mm", "moved anywhere"}
+ON_OTHER = {f"{foam} on {OTHER}" for foam in questions.FOAMS}
+
+
 @pytest.mark.parametrize(
-    ("only", "found"),
+    ("name", "asked", "kind", "found"),
     [
-        (("moved", "poor"), {"poor", "moved 2 mm", "moved 5 mm", "moved 25 mm", "moved anywhere"}),
-        (("moved 5 mm",), {"moved 5 mm"}),
-        (("symmetric",), {"symmetric"}),
+        ("map", Selection(only=("moved", "poor")), "cell", {"poor", *MOVED}),
+        ("map", Selection(quick=True, only=("moved", "poor")), "cell", {"poor", *MOVED}),
+        ("map", Selection(only=("moved 5 mm",)), "cell", {"moved 5 mm"}),
+        ("map", Selection(only=("symmetric",)), "cell", {"symmetric"}),
+        ("map", Selection(objects=(BOX,)), "object", {BOX}),
+        ("whole", Selection(only=("density", "table 25")), "method", {"density", "table 25"}),
+        ("advice", Selection(only=("advised", "typical")), "guide", {"advised"}),
+        ("advice", Selection(only=("advised", "typical")), "cell", {"typical"}),
+        ("works", Selection(layouts=(OTHER,)), "cell", ON_OTHER),
+        ("works", Selection(layouts=("", OTHER)), "cell", {*WORKS, *ON_OTHER}),
     ],
 )
-def test_cells_are_named_whole_or_by_their_first_word(
-    only: tuple[str, ...], found: set[str]
+def test_trials_are_chosen_by_what_is_named(
+    name: str, asked: Selection, kind: str, found: set[str]
 ) -> None:
-    for quick in (False, True):  # what is named is run, quick or not
-        assert {c.labels["cell"] for c in cells("map", Selection(quick, only=only))} == found
+    """A cell by its whole name or its first word; a layout has a cell on each foam."""
+    chosen = cells(name, asked)
+    assert {cell.labels[kind] for cell in chosen} == found
+    assert all((cell.labels["cell"] in ON_OTHER) == (OTHER in cell.case.layouts) for cell in chosen)
 
 
-def test_methods_and_guides_are_chosen_beside_cells() -> None:
-    some = cells("whole", Selection(only=("density", "table 25")))
-    assert {c.labels["method"] for c in some} == {"density", "table 25"}
-    some = cells("advice", Selection(only=("advised", "typical")))
-    assert {(c.labels["guide"], c.labels["cell"]) for c in some} == {("advised", "typical")}
-
-
-def test_a_layout_has_a_cell_on_each_foam_and_stands_alone_unless_own_is_asked_for() -> None:
-    names = [f"{foam} on {OTHER}" for foam in ("exact", "typical", "poor")]
-    alone = cells("works", Selection(objects=(MUG,), layouts=(OTHER,)))
-    assert [c.labels["cell"] for c in alone] == names
-    assert all(c.case.layouts == (OTHER,) for c in alone)
-    both = cells("works", Selection(objects=(MUG,), layouts=("", OTHER)))
-    assert [c.labels["cell"] for c in both][-3:] == names
-    assert len(both) == 4 + 3
-
-
-def test_objects_of_ones_own_take_the_place_of_the_questions() -> None:
-    asked = Selection(objects=(BOX,))
-    assert {c.case.known[0].name for c in cells("map", asked)} == {BOX}  # no symmetric ones
-    assert {len(c.case.known) for c in cells("which", asked)} == {1}
+def test_objects_of_ones_own_are_the_only_ones_that_a_filter_knows() -> None:
+    assert {len(c.case.known) for c in cells("which", Selection(objects=(BOX,)))} == {1}
 
 
 @pytest.mark.parametrize(

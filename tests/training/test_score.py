@@ -23,7 +23,7 @@ def touch(error_mm: float = 1.0, p: float = 1.0, **given: object) -> Touch:
     return plain._replace(**given)
 
 
-GOOD, FAR, DOUBTED = touch(), touch(99.0), touch(1.0, 0.5)
+GOOD, FAR, DOUBTED, WRONG = touch(), touch(99.0), touch(1.0, 0.5), touch(math.nan)
 
 
 def played(*trials: Sequence[Touch], first: int = 0, **labels: str | tuple[str, ...]) -> Played:
@@ -36,34 +36,42 @@ def row(*group: Played) -> score.Row:
     return found
 
 
-def test_shares_are_of_trials_after_each_touch_and_misleading_of_the_sure() -> None:
-    found = row(played([DOUBTED, GOOD, GOOD], [GOOD, FAR, GOOD]))
-    assert (found["trials"], found["seeds"]) == (2, 2)
-    assert found["found"] == [2, 1, 2]
-    assert found["found_and_sure"] == [1, 1, 2]
-    assert (found["misleading"], found["sure"]) == (1, 5)
-    assert found["misleading_at"] == [0, 1, 0]
-    assert found["to_sure"] == 1.5
-
-
-def test_sure_and_beyond_its_radius_misleads_and_exactly_at_it_does_not() -> None:
-    found = row(played([touch(6.0, 0.99), touch(5.0, 1.0), touch(10.0, 0.995, radius_mm=20.0)]))
-    assert found["misleading_at"] == [1, 0, 1]
-
-
-def test_a_wrong_object_is_never_found_and_misleads_where_the_filter_is_sure() -> None:
-    wrong = touch(math.nan)
-    found = row(played([wrong, wrong._replace(p=0.5)]))
-    assert (found["found"], found["misleading_at"]) == ([0, 0], [1, 0])
-    assert found["median_mm"] == [None, None]  # JSON has no nan
-    assert found["to_sure"] == 3.0  # never: one more than there are
+@pytest.mark.parametrize(
+    ("trials", "figures"),
+    [
+        (
+            [[DOUBTED, GOOD, GOOD], [GOOD, FAR, GOOD]],
+            {"trials": 2, "seeds": 2, "found": [2, 1, 2], "found_and_sure": [1, 1, 2], "sure": 5}
+            | {"misleading": 1, "misleading_at": [0, 1, 0], "to_sure": 1.5},
+        ),
+        (
+            [[touch(6.0, 0.99), touch(5.0, 1.0), touch(10.0, 0.995, radius_mm=20.0)]],
+            {"misleading_at": [1, 0, 1]},
+        ),
+        (
+            [[WRONG, WRONG._replace(p=0.5)]],
+            # JSON has no nan; never: one touch more than there are
+            {"found": [0, 0], "misleading_at": [1, 0], "median_mm": [None, None], "to_sure": 3.0},
+        ),
+        (
+            [[touch(1.0, math.nan, radius_mm=math.nan)] * 2],
+            {"found": [1, 1], "sure": 0, "ece": None},
+        ),
+    ],
+    ids=[
+        "shares are of trials after each touch",
+        "sure and beyond its radius misleads and exactly at it does not",
+        "another object is never found and misleads where the filter is sure",
+        "without p a filter is never sure and has no calibration",
+    ],
+)
+def test_trials_are_counted_after_each_touch(
+    trials: list[list[Touch]], figures: dict[str, object]
+) -> None:
+    found = row(played(*trials))
+    assert {key: found[key] for key in figures} == figures
+    assert (found["ci"]["misleading"] is None) == (found["sure"] == 0)
     json.dumps(found, allow_nan=False)
-
-
-def test_a_filter_that_publishes_no_p_has_no_calibration_and_is_never_sure() -> None:
-    found = row(played([touch(1.0, math.nan, radius_mm=math.nan)] * 2))
-    assert (found["found"], found["sure"], found["ece"]) == ([1, 1], 0, None)
-    assert found["ci"]["misleading"] is None
 
 
 def test_intervals_are_over_seeds_and_one_seed_in_many_cells_is_no_more_trials() -> None:
