@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from taxeld.arrays import Poses
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
-from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.objects import scenes
+from taxeld_training.models.dataset import simulate
 
 RING = "cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015"
 THREE_ROWS = "cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015"
@@ -45,11 +44,6 @@ def tube(inner_m: float) -> trimesh.Trimesh:
     return mesh
 
 
-def model_of(skin: Layout) -> ObservationModel:
-    """The box on a skin."""
-    return ObservationModel(scenes.build(box(), skin, 0.04), skin, 0.005)
-
-
 def half_skin() -> Layout:
     """A skin over half of the link, its taxels in no order: no rotation leaves it as it is."""
     rng = np.random.default_rng(1)
@@ -62,13 +56,14 @@ def half_skin() -> Layout:
     return Layout("half", uid, position, normal, 0.04)
 
 
-def ring() -> Layout:
-    return layouts.load(RING)
+def _on(skin: Layout) -> ObservationModel:
+    return ObservationModel(scenes.build(box(), skin, 0.04), skin, 0.005)
 
 
-def gap_m(model: ObservationModel, poses: Poses) -> Poses:
-    """(N,) clearance between the skin and the object at poses (N, 3)."""
-    return contacts.clearance(model.scene, model.layout.radius_m, poses)
+# The box on a ring and on a skin without symmetry, and touches of the former
+SKIN, HALF_SKIN = layouts.load(RING), half_skin()
+MODEL, HALF = _on(SKIN), _on(HALF_SKIN)
+TOUCHES = simulate(MODEL, 20_000, np.random.default_rng(0))
 
 
 def written_at(memory: Path) -> dict[Path, int]:

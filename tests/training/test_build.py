@@ -20,7 +20,6 @@ from taxeld.errors import SetupError
 from taxeld.estimator.scans import noise_of
 from taxeld.layout import read as layouts
 from taxeld.model.noise import Noise
-from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle
 from taxeld_hil.integrity import Claims
 from taxeld_hil.objects import meshes
@@ -40,6 +39,7 @@ pytestmark = pytest.mark.check
 SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
 THREE, THIN = (f"cylinder:rows={k},columns=12,radius_m=0.03,pitch_m=0.02" for k in (3, 2))
 DEPTH_M = 0.003
+Info = dict[str, Any]  # of bundle.json
 STAGES = [
     "1/7 scene",
     "2/7 contacts",
@@ -75,14 +75,12 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def info(built: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
+def info(built: Path) -> Info:
+    found: Info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
     return found
 
 
-def test_the_bundle_records_what_it_is_made_of_and_how_good_that_is(
-    built: Path, info: dict[str, Any]
-) -> None:
+def test_the_bundle_records_of_what_it_is_made_and_how_good_it_is(built: Path, info: Info) -> None:
     """On the foam that was asked for, with as many trials as it says, beside the table."""
     # the copy of the mesh is for the harness, and the daemon never reads it
     assert (built / info["mesh"]).read_bytes() == (built.parent / "block.stl").read_bytes()
@@ -106,7 +104,7 @@ def test_the_bundle_records_what_it_is_made_of_and_how_good_that_is(
     assert "filter" not in info, "too few trials choose none"
 
 
-def _sampler(info: dict[str, Any]) -> str:
+def _sampler(info: Info) -> str:
     """The daemon's first choice among samplers."""
     trained = {one["name"] for one in info["samplers"]}
     return next(name for name in info["auto"] if name in trained)
@@ -123,9 +121,7 @@ def test_a_build_prints_its_stages_what_it_made_how_good_and_what_to_do_next(bui
     assert f"taxeld-hil run demo --object {built} --layout {SKIN} --out block_demo" in text
 
 
-def test_a_stage_that_takes_long_is_told_of_without_a_terminal(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_long_stage_is_told_of_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "MUTE_S", 0.01)
     said = io.StringIO()
     with progress.shown(("scene", "training"), said) as tell:
@@ -150,9 +146,7 @@ def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
     assert all(words in drawn for words in ("1/2 scene", "2/2 training", "50%"))
 
 
-def test_a_table_alone_is_built_and_tried_by_nobody(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_table_alone_is_built(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "my box"
     table = "--layout", SKIN, "--table", "--out", str(out)
     assert main(["build", "003_cracker_box", *table]) == 0
@@ -166,8 +160,8 @@ def test_a_table_alone_is_built_and_tried_by_nobody(
 
 
 @pytest.mark.parametrize(("own", "pays"), [(20, False), (32, True)])
-def test_the_summary_says_whether_the_sampler_paid_and_has_a_cure_where_it_clearly_did_not(
-    built: Path, info: dict[str, Any], own: int, pays: bool
+def test_the_summary_says_whether_the_sampler_paid(
+    built: Path, info: Info, own: int, pays: bool
 ) -> None:
     found = {
         "table 100..400": [0] * 5 + [34, 38, 39],
@@ -184,7 +178,7 @@ def test_the_summary_says_whether_the_sampler_paid_and_has_a_cure_where_it_clear
 
 
 def test_trials_choose_the_filter_that_the_daemon_runs(
-    built: Path, info: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    built: Path, info: Info, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(closing, "ENOUGH", 2)
     monkeypatch.setattr(closing, "SIZES", (25, 50, 100))
@@ -231,7 +225,7 @@ NOISY = HARD + np.random.default_rng(1).normal(0.0, 0.2, 40)
     ],
     ids=["a cheap one keeps up", "trials do not tell them apart", "a dear one is shown better"],
 )
-def test_the_first_filter_that_is_shown_to_be_as_good_as_the_best_is_enough(
+def test_the_first_filter_as_good_as_the_best_is_enough(
     worths: list[np.ndarray], usual: int, chosen: int
 ) -> None:
     assert closing.enough(worths, usual) == chosen
@@ -249,15 +243,13 @@ def test_being_sure_and_wrong_once_weighs_more_than_being_sure_earlier() -> None
     assert closing.worth(early).mean() < closing.worth(late).mean()
 
 
-def test_exact_posteriors_are_the_same_by_any_number_of_workers_and_tell_their_share(
-    ring_model: ObservationModel,
-) -> None:
+def test_exact_posteriors_are_the_same_by_any_number_of_workers_and_tell_their_share() -> None:
     told: list[tuple[str, float]] = []
 
     def made(workers: int) -> quality.Reference:
         rng, tell = np.random.default_rng(0), lambda *each: told.append(each)
         return quality.reference(
-            ring_model, Noise(), 4, rng, bank=60_000, workers=workers, progress=tell
+            rig.MODEL, Noise(), 4, rng, bank=60_000, workers=workers, progress=tell
         )
 
     two, _, one = made(2), told.clear(), made(1)
@@ -300,9 +292,7 @@ def measured(mean: float, ms: float, spread: float = 0.2, readings: int = 200) -
     return Nearness(distances * mean / distances.mean(), ms)
 
 
-def test_the_daemons_order_begins_with_the_cheapest_that_is_shown_to_be_as_good_as_the_best() -> (
-    None
-):
+def test_the_order_begins_with_the_cheapest_that_is_shown_to_be_as_good_as_the_best() -> None:
     """What noise alone makes as good is not preferred: of few readings with errors of their own a
     mean within the tolerance says nothing."""
     given = {"dear": measured(0.100, 9.0), "cheap": measured(0.105, 0.2)}
@@ -353,9 +343,7 @@ def box(tmp_path: Path) -> Path:
     return Path(shutil.copytree(bundle.find("box"), tmp_path / "box"))
 
 
-def test_sealing_makes_a_bundle_of_format_2_one_of_format_3_and_changes_no_sound_one(
-    box: Path,
-) -> None:
+def test_sealing_makes_format_3_of_format_2_and_changes_no_sound_bundle(box: Path) -> None:
     skin, about = layouts.load(SkinConfig().layout), box / "bundle.json"
     before = about.read_text(encoding="utf-8")
     old = {key: value for key, value in json.loads(before).items() if key != "files"}
@@ -449,9 +437,7 @@ def linked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_each_link_has_the_object_at_its_own_heights_and_links_of_one_layout_share_them(
-    linked: Path,
-) -> None:
+def test_each_link_has_the_object_at_the_heights_of_its_layout(linked: Path) -> None:
     three, thin = layouts.load(THREE), layouts.load(THIN)
     first, second = bundle.load(str(linked), three, further=[thin]).model.links
     assert (len(first.scene.heights), len(second.scene.heights)) == (3, 2)

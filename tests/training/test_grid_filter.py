@@ -7,10 +7,9 @@ import pytest
 
 from taxeld.arrays import Poses
 from taxeld.estimator.memory import Slack
-from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2, symmetry
 from taxeld.model.noise import Noise
-from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.observation import Observation
 from taxeld_training.limits import grid_cells
 from taxeld_training.limits.grid_cells import Cells, tile
 from taxeld_training.limits.grid_filter import DROP_NATS, GridFilter
@@ -19,9 +18,8 @@ from taxeld_training.limits.posterior import energy_distance
 from taxeld_training.models.dataset import MIN_ACTIVATION
 
 from ..rig.memories import memory_of, plus
-from .rig import RING
+from .rig import MODEL, SKIN
 
-SKIN = layouts.load(RING)
 LIVE = np.ones(len(SKIN), dtype=bool)
 NOISE = Noise()
 SENSOR = np.array([0.3, -0.2, 1.0])
@@ -35,28 +33,23 @@ def situation(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(seed))
 
 
-@pytest.fixture(name="model")
-def _model(ring_model: ObservationModel) -> ObservationModel:
-    return ring_model
-
-
-def band(model: ObservationModel, n: int, rng: np.random.Generator) -> Poses:
+def band(n: int, rng: np.random.Generator) -> Poses:
     """`n` poses in the sensor frame, uniform over those that press the skin."""
-    low, high = model.scene.extent
+    low, high = MODEL.scene.extent
     poses = np.empty((0, 3))
     while len(poses) < n:
         ax, ay = rng.uniform(low[:, None], high[:, None], (2, 10 * n))
         theta = rng.uniform(-np.pi, np.pi, 10 * n)
         drawn = contacts.pose_of_axis(ax, ay, theta)
-        gap = contacts.clearance(model.scene, SKIN.radius_m, drawn)
-        poses = np.concatenate([poses, drawn[(gap < 0.0) & (gap > -model.depth_max_m)]])
+        gap = contacts.clearance(MODEL.scene, SKIN.radius_m, drawn)
+        poses = np.concatenate([poses, drawn[(gap < 0.0) & (gap > -MODEL.depth_max_m)]])
     return poses[:n]
 
 
-def contact_poses(model: ObservationModel, n: int, rng: np.random.Generator) -> Poses:
+def contact_poses(n: int, rng: np.random.Generator) -> Poses:
     """`n` of those at which a taxel reads enough to be simulated."""
-    poses = band(model, 3 * n, rng)
-    return poses[model.activation(poses).max(axis=1) > MIN_ACTIVATION][:n]
+    poses = band(3 * n, rng)
+    return poses[MODEL.activation(poses).max(axis=1) > MIN_ACTIVATION][:n]
 
 
 def drawn(belief: GridFilter, n: int) -> Poses:
@@ -64,13 +57,13 @@ def drawn(belief: GridFilter, n: int) -> Poses:
     return belief.pose[np.searchsorted(belief.weight.cumsum(), (np.arange(n) + 0.5) / n)]
 
 
-def test_the_first_cells_tile_all_contacts_once(model: ObservationModel) -> None:
+def test_the_first_cells_tile_all_contacts_once() -> None:
     """Cells' midpoints have the volume and the reach of poses drawn evenly."""
-    cells = tile(model)
-    low, high = model.scene.extent
+    cells = tile(MODEL)
+    low, high = MODEL.scene.extent
     axis = situation(0).uniform(low, high, (200_000, 2))
-    gap = model.scene.clearance(*axis.T)[0] - SKIN.radius_m
-    pressed = (gap < 0.0) & (gap > -model.depth_max_m)
+    gap = MODEL.scene.clearance(*axis.T)[0] - SKIN.radius_m
+    pressed = (gap < 0.0) & (gap > -MODEL.depth_max_m)
     area = pressed.mean() * np.prod(high - low)
     volume = np.exp(cells.log_effective_volume).sum()
     assert volume == pytest.approx(2.0 * np.pi * area, rel=0.02)
@@ -81,22 +74,20 @@ def test_the_first_cells_tile_all_contacts_once(model: ObservationModel) -> None
 
 
 @pytest.mark.parametrize("scale", [0.0, 1.0])
-def test_a_small_cell_has_the_likelihood_that_the_filters_memory_has(
-    model: ObservationModel, scale: float
-) -> None:
+def test_a_small_cell_has_the_likelihood_of_the_filters_memory(scale: float) -> None:
     """Offsets that grow with the contacts since, residues, floors, and a contact of two scans that
     counts as one; silence behind a contact."""
     rng = situation(8)
-    poses = contact_poses(model, 200, rng)
+    poses = contact_poses(200, rng)
     slack = Slack(0.002, 0.001, scale)
-    known, evidence = memory_of(model, NOISE, slack), []
+    known, evidence = memory_of(MODEL, NOISE, slack), []
     half = np.arange(len(SKIN)) % 2 > 0
     floor, residue = np.where(half, 0.2, 0.01), np.where(half, 0.1, 0.0)
     beside = (se2.IDENTITY, np.array([0.002, 0.003, 0.1]), np.array([-0.004, 0.002, -0.2]))
     for share, contact, step in zip((0.5, 0.5, 1.0), (1, 1, 2), beside, strict=True):
         sensor = se2.compose(SENSOR, step)
         seen = se2.compose(se2.inverse(sensor), se2.compose(SENSOR, poses[:1]))
-        z = NOISE.draw(model.activation(seen)[0], rng)
+        z = NOISE.draw(MODEL.activation(seen)[0], rng)
         live = rng.random(len(SKIN)) < 0.8
         scan = Observation(sensor, np.where(z < floor, 0.0, z), live, floor, residue)
         known = plus(known, scan, contact)
@@ -108,7 +99,7 @@ def test_a_small_cell_has_the_likelihood_that_the_filters_memory_has(
     ax, ay = contacts.axis_in_object(poses)
     mid = np.column_stack([ax, ay, poses[:, 2]])
     cells = Cells.unweighed(mid, np.tile(1e-8 * np.eye(3), (200, 1, 1)), np.zeros(200))
-    CellLikelihood(model, NOISE).add(cells, evidence, SENSOR)
+    CellLikelihood(MODEL, NOISE).add(cells, evidence, SENSOR)
     expected = known.explain(se2.compose(SENSOR, poses)) @ [0.5, 0.5, 1.0, 1.0]
     # but for poses at which a taxel that reads is just at the end of the band
     assert np.quantile(np.abs(cells.log_likelihood - expected), 0.98) < 0.002
@@ -116,17 +107,17 @@ def test_a_small_cell_has_the_likelihood_that_the_filters_memory_has(
     assert cells.information.max() < 1e-3
 
 
-def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel) -> None:
+def test_no_pose_explains_more_than_the_best_of_its_cell() -> None:
     """Or cells would be dropped that hold the truth: a touch, and silence beside another."""
     rng = situation(6)
-    first, second = contact_poses(model, 2, rng)
+    first, second = contact_poses(2, rng)
     beside = se2.compose(first, se2.inverse(second * BACK))
-    z = NOISE.draw(model.activation(first[None])[0], rng)
+    z = NOISE.draw(MODEL.activation(first[None])[0], rng)
     scans = [Observation(np.zeros(3), z, LIVE), Observation(beside, np.zeros(len(SKIN)), LIVE)]
-    likelihood, known = CellLikelihood(model, NOISE), memory_of(model, NOISE)
+    likelihood, known = CellLikelihood(MODEL, NOISE), memory_of(MODEL, NOISE)
     for scan in scans:
         known = plus(known, scan)
-    cells = tile(model)
+    cells = tile(MODEL)
     for _ in range(6):
         cells = cells[rng.random(len(cells)) < 2000 / len(cells)]
         likelihood.add(cells, [Evidence(scan) for scan in scans], np.zeros(3))
@@ -138,35 +129,31 @@ def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel
         cells = cells.halved()
 
 
-def test_the_truth_stays_in_the_belief_from_the_first_touch_on_and_the_estimate_reaches_it(
-    model: ObservationModel,
-) -> None:
+def test_the_truth_stays_in_the_belief_and_the_estimate_reaches_it() -> None:
     rng, truth = situation(0), np.array([0.1, 0.2, 2.0])
-    belief = GridFilter(model, NOISE, Slack())
+    belief = GridFilter(MODEL, NOISE, Slack())
     belief.update(Observation(FAR, NOISE.draw(np.zeros(len(SKIN)), rng), LIVE), 0, touched=False)
     assert len(belief) == len(belief.pose) == len(belief.weight) == 0
-    for number, pose in enumerate(contact_poses(model, 6, rng), 1):
-        z = NOISE.draw(model.activation(pose[None])[0], rng)
+    for number, pose in enumerate(contact_poses(6, rng), 1):
+        z = NOISE.draw(MODEL.activation(pose[None])[0], rng)
         sensor = se2.compose(truth, se2.inverse(pose))
         belief.update(Observation(sensor, z, LIVE), number, touched=True)
         assert belief.metric.distance(belief.pose, truth).min() < 0.003
-    assert symmetry.add_m(model.scene, belief.estimate(), truth)[1] < 0.002
+    assert symmetry.add_m(MODEL.scene, belief.estimate(), truth)[1] < 0.002
 
 
 @pytest.mark.check
-def test_the_belief_is_that_of_brute_force_and_all_that_a_scan_says_counts(
-    model: ObservationModel,
-) -> None:
+def test_the_belief_is_that_of_brute_force_and_all_of_a_scan_counts() -> None:
     """A silent scan beside a face, two scans of one contact and one of another, the sensor reported
     3 mm off throughout each contact. Poses drawn by chance are weighed by the daemon's memory."""
     noise, sd_m = Noise(sigma=0.1, gain_cv=0.3, outliers=0.05), 0.003
     rng = situation(7)
-    first, other = contact_poses(model, 2, rng)
+    first, other = contact_poses(2, rng)
     slid = se2.compose(np.array([0.0, 0.0, 0.15]), first)
     floor = np.where(np.arange(len(SKIN)) % 2 > 0, 0.3, 0.02)
     scans = []
     for contact, pose in ((1, first), (1, slid), (2, other)):
-        z = noise.draw(model.activation(pose[None])[0], rng)
+        z = noise.draw(MODEL.activation(pose[None])[0], rng)
         error = sd_m * np.array([*situation(contact).standard_normal(2), 0.0])
         sensor = se2.compose(SENSOR, se2.inverse(pose)) + error
         scan = Observation(sensor, np.where(z < floor, 0.0, z), LIVE, floor, 0.2)
@@ -174,15 +161,15 @@ def test_the_belief_is_that_of_brute_force_and_all_that_a_scan_says_counts(
     x, y = first[:2]
     beside = se2.compose(scans[0][1].sensor, np.array([0.3 * x - y, 0.3 * y + x, 0.0]))
     scans.insert(0, (0, replace(scans[0][1], sensor=beside, z=np.zeros(len(SKIN)))))
-    known = memory_of(model, noise, Slack(sd_m))
+    known = memory_of(MODEL, noise, Slack(sd_m))
     for contact, scan in scans:
         known = plus(known, scan, contact)
     # all poses at the strongest touch, less those that are out of the question
-    low, high = model.scene.extent
+    low, high = MODEL.scene.extent
     ax, ay = rng.uniform(low[:, None], high[:, None], (2, 480_000))
     poses = contacts.pose_of_axis(ax, ay, rng.uniform(-np.pi, np.pi, len(ax)))
-    gap = contacts.clearance(model.scene, SKIN.radius_m, poses)
-    poses = poses[(gap < 3.0 * sd_m) & (gap > -model.depth_max_m - 3.0 * sd_m)]
+    gap = contacts.clearance(MODEL.scene, SKIN.radius_m, poses)
+    poses = poses[(gap < 3.0 * sd_m) & (gap > -MODEL.depth_max_m - 3.0 * sd_m)]
     strongest = max((scan for _, scan in scans), key=lambda scan: scan.z.sum())
     poses = se2.compose(strongest.sensor, poses)
     log_w = np.concatenate([known.explain(some) for some in np.array_split(poses, 8)]) @ known.share
@@ -192,7 +179,7 @@ def test_the_belief_is_that_of_brute_force_and_all_that_a_scan_says_counts(
     def gap_of(
         slack_m: float = sd_m, residues: bool = True, shared: bool = True, silent: bool = True
     ) -> float:
-        grid = GridFilter(model, noise, Slack(slack_m))
+        grid = GridFilter(MODEL, noise, Slack(slack_m))
         for k, (contact, scan) in enumerate(scans):
             given = scan if residues else replace(scan, residue=0.0)
             if k or silent:

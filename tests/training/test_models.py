@@ -28,6 +28,8 @@ from taxeld_training.models.frames import ContactFrame, PoseFrame, rotated
 from taxeld_training.models.variants import Variant
 from taxeld_training.models.views import Centred, Plain, Turned, best
 
+from .rig import HALF, HALF_SKIN, MODEL, SKIN, TOUCHES
+
 TRAINING = variants.density(8).training
 FEW = NetworkConfig(8, 16, steps=8)  # T: the unrolled graph of a hundred is slow to export
 SMALL = {
@@ -46,18 +48,10 @@ def fitted(
 
 
 @pytest.mark.parametrize(
-    ("name", "skin"),
-    [
-        ("density", "ring_model"),
-        ("density", "half_model"),
-        ("ddpm", "ring_model"),
-        ("paper", "half_model"),
-    ],
+    ("name", "model"), [("density", MODEL), ("density", HALF), ("ddpm", MODEL), ("paper", HALF)]
 )
-def test_onnx_equals_torch_for_any_number_of_samples(
-    name: str, skin: str, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
-    model: ObservationModel = request.getfixturevalue(skin)
+def test_onnx_equals_torch(name: str, model: ObservationModel, tmp_path: Path) -> None:
+    """For any number of samples."""
     taxels = len(model.layout)
     some = simulate(model, 2000, np.random.default_rng(0))
     sampler = fitted(SMALL[name], model, some, 3)
@@ -77,42 +71,38 @@ def test_onnx_equals_torch_for_any_number_of_samples(
     assert metadata == {"training": {"seed": 1}}
 
 
-def test_a_trained_model_is_near_the_posterior(
-    ring_model: ObservationModel, touches: SimulatedTouches, tmp_path: Path
-) -> None:
-    to = quality.reference(ring_model, Noise(), 20, np.random.default_rng(1), bank=40_000)
-    sampler = fitted(variants.density(32), ring_model, touches, 300)
-    export(sampler, len(ring_model.layout), tmp_path / "s.onnx", {})  # type: ignore[arg-type]
+def test_a_trained_model_is_near_the_posterior(tmp_path: Path) -> None:
+    to = quality.reference(MODEL, Noise(), 20, np.random.default_rng(1), bank=40_000)
+    sampler = fitted(variants.density(32), MODEL, TOUCHES, 300)
+    export(sampler, len(SKIN), tmp_path / "s.onnx", {})  # type: ignore[arg-type]
     rng = np.random.default_rng(2)
-    learned = Sampler((tmp_path / "s.onnx").read_bytes(), ring_model.layout, "density", tmp_path)
-    uninformed = quality.distances(Projection(ring_model), to, rng).mean()
+    learned = Sampler((tmp_path / "s.onnx").read_bytes(), SKIN, "density", tmp_path)
+    uninformed = quality.distances(Projection(MODEL), to, rng).mean()
     assert quality.distances(learned, to, rng).mean() < 0.12 * uninformed
 
 
-def test_a_model_trained_beside_others_is_the_one_that_is_trained_alone(
-    ring_model: ObservationModel, touches: SimulatedTouches
-) -> None:
+def test_a_model_trained_beside_others_is_the_one_that_is_trained_alone() -> None:
     """Those of other batches, and of fewer updates, among them."""
     few = {"density": 4, "ddpm": 6, "paper": 5}
     given = [
         variants.trained_with(SMALL[name], updates / TRAINING.updates, 5_000, 0)
         for name, updates in few.items()
     ]
-    beside = variants.fit(given, ring_model, Noise(), touches)
+    beside = variants.fit(given, MODEL, Noise(), TOUCHES)
     for variant, one in zip(given, beside, strict=True):
-        (alone,) = variants.fit([variant], ring_model, Noise(), touches)
+        (alone,) = variants.fit([variant], MODEL, Noise(), TOUCHES)
         for name, weight in alone.state_dict().items():
             assert torch.equal(weight, one.state_dict()[name]), (variant.family, name)
 
 
-def density(model: ObservationModel) -> ContactDensity:
+def density() -> ContactDensity:
     torch.manual_seed(0)
-    return ContactDensity(NetworkConfig(8, 16), best(model.layout), ContactFrame(model)).eval()
+    return ContactDensity(NetworkConfig(8, 16), best(SKIN), ContactFrame(MODEL)).eval()
 
 
-def test_the_densitys_samples_follow_its_histogram(ring_model: ObservationModel) -> None:
+def test_the_densitys_samples_follow_its_histogram() -> None:
     """Counts a bin against the probabilities that the network gives, to within one sample."""
-    net = density(ring_model)
+    net = density()
     with torch.no_grad():
         net.logits.bias.copy_(torch.randn(BINS, generator=torch.Generator().manual_seed(1)))
         net.logits.weight.mul_(0.1)
@@ -128,8 +118,8 @@ def test_the_densitys_samples_follow_its_histogram(ring_model: ObservationModel)
     assert (counts - share).abs().max() < 0.004  # the lookup of s rounds at a bin's edge
 
 
-def test_the_density_integrates_to_one(ring_model: ObservationModel) -> None:
-    net = density(ring_model)
+def test_the_density_integrates_to_one() -> None:
+    net = density()
     net.scale.copy_(torch.tensor([0.1, 0.001]))
     side, half = 49, 12.0
     at = torch.linspace(-half, half, side)
@@ -157,9 +147,9 @@ class GaussianDenoiser(Denoiser):
         return a.sqrt() * noise - (1.0 - a).sqrt() * clean
 
 
-def test_the_diffusion_draws_the_gaussian_of_its_denoiser(ring_model: ObservationModel) -> None:
+def test_the_diffusion_draws_the_gaussian_of_its_denoiser() -> None:
     config = NetworkConfig(steps=100, width=4)
-    net = GaussianDenoiser(config, Plain(ring_model.layout), PoseFrame())
+    net = GaussianDenoiser(config, Plain(SKIN), PoseFrame())
     with torch.no_grad():
         net.time.weight.copy_(torch.arange(100)[:, None].expand(-1, 12))
         net.context.weight.zero_()
@@ -180,31 +170,26 @@ def worst_mm(a: Poses, b: Poses) -> float:
     return 1e3 * float(np.hypot(*(a - b)[:, :2].T).max())
 
 
-@pytest.mark.parametrize("kind", [ContactFrame, PoseFrame])
-def test_a_pose_is_recovered_from_its_coordinates_and_turning_them_turns_it(
-    kind: type, ring_model: ObservationModel, touches: SimulatedTouches
+@pytest.mark.parametrize("frame", [ContactFrame(MODEL), PoseFrame()])
+def test_a_pose_is_recovered_and_turns_with_its_coordinates(
+    frame: ContactFrame | PoseFrame,
 ) -> None:
-    frame = ContactFrame(ring_model) if kind is ContactFrame else PoseFrame()
-    coordinates = frame.encode(touches.pose)
+    coordinates = frame.encode(TOUCHES.pose)
     back = of_four(frame.decode(frame.features(coordinates)))
-    assert worst_mm(back, touches.pose) < 0.5
-    assert np.abs(np.sin(back[:, 2] - touches.pose[:, 2])).max() < 0.02
-    angle = torch.linspace(-3.0, 3.0, len(touches))
+    assert worst_mm(back, TOUCHES.pose) < 0.5
+    assert np.abs(np.sin(back[:, 2] - TOUCHES.pose[:, 2])).max() < 0.02
+    angle = torch.linspace(-3.0, 3.0, len(TOUCHES))
     turned = frame.features(frame.turned(coordinates, angle))
-    assert worst_mm(of_four(rotated(frame.decode(turned), angle)), touches.pose) < 0.5
+    assert worst_mm(of_four(rotated(frame.decode(turned), angle)), TOUCHES.pose) < 0.5
 
 
-def test_depth_and_direction_are_how_deep_and_where_the_skin_is_pressed(
-    ring_model: ObservationModel, touches: SimulatedTouches
-) -> None:
-    frame = ContactFrame(ring_model)
-    s = torch.linspace(0.0, 1.0, 400)
+def test_depth_and_direction_are_how_deep_and_where_the_skin_is_pressed() -> None:
+    frame, s = ContactFrame(MODEL), torch.linspace(0.0, 1.0, 400)
     made = of_four(frame.pose(s, 6.0 * s - 3.0, torch.full_like(s, 0.003)))
-    gap = contacts.clearance(ring_model.scene, ring_model.layout.radius_m, made)
+    gap = contacts.clearance(MODEL.scene, SKIN.radius_m, made)
     assert np.abs(gap + 0.003).max() < 2e-4
-    strongest = touches.activation.argmax(axis=1)
-    x, y, _ = ring_model.layout.position_m[strongest].T
-    off = np.angle(np.exp(1j * (np.arctan2(y, x) - frame.encode(touches.pose)[:, 1].numpy())))
+    x, y, _ = SKIN.position_m[TOUCHES.activation.argmax(axis=1)].T
+    off = np.angle(np.exp(1j * (np.arctan2(y, x) - frame.encode(TOUCHES.pose)[:, 1].numpy())))
     assert np.quantile(np.abs(off), 0.99) < 2.0 * np.pi / 16
 
 
@@ -217,34 +202,30 @@ def seen_by(
     return seen
 
 
-def test_a_ring_sees_the_same_touch_at_every_column(
-    ring_model: ObservationModel, touches: SimulatedTouches
-) -> None:
-    view, turn = Turned(ring_model.layout), 2.0 * np.pi * 5 / 16
-    here, angle = seen_by(view, ring_model, touches.pose[:200], 0.0)
-    there, other = seen_by(view, ring_model, touches.pose[:200], turn)
+def test_a_ring_sees_the_same_touch_at_every_column() -> None:
+    view, turn = Turned(SKIN), 2.0 * np.pi * 5 / 16
+    here, angle = seen_by(view, MODEL, TOUCHES.pose[:200], 0.0)
+    there, other = seen_by(view, MODEL, TOUCHES.pose[:200], turn)
     same = (here - there).abs().amax(dim=1) < 1e-3
     assert same.float().mean() > 0.95  # two columns may feel the same, and rounding choose
     gap = torch.remainder(other - angle, 2 * np.pi)[same]
     assert torch.allclose(gap, torch.full_like(gap, turn), atol=1e-4)
 
 
-def test_a_skin_without_symmetry_sees_nearly_the_same_touch_from_every_side(
-    half_model: ObservationModel,
-) -> None:
+def test_a_skin_without_symmetry_sees_nearly_the_same_touch_from_every_side() -> None:
     """As the taxels lie unevenly, the window is compared by where its weight is. It keeps every
     taxel near the touch."""
-    view = best(half_model.layout)
+    view = best(HALF_SKIN)
     assert isinstance(view, Centred)
     centres = []
     for turn in (-0.6, -0.2, 0.3, 0.7):
-        seen, angle = seen_by(view, half_model, np.array([[0.068, 0.0, 0.0]]), turn)
+        seen, angle = seen_by(view, HALF, np.array([[0.068, 0.0, 0.0]]), turn)
         grid = seen[0, : view.width // 3].reshape(-1, view.rows).sum(dim=1)
         cells = torch.arange(-view.reach, view.reach + 1)
         offset = (grid * cells).sum() / grid.sum() / view.cells_per_rad
         centres.append(float(angle[0] + offset) - turn)
     assert np.ptp(centres) < 0.15
-    x, y, _ = half_model.layout.position_m.T
+    x, y, _ = HALF_SKIN.position_m.T
     seen, angle = view(torch.eye(60)[30:31], torch.ones(1, 60))
     assert torch.isclose(seen[0, : view.width // 3].sum(), torch.tensor(1.0), atol=1e-5)
     near = np.abs(np.arctan2(y, x) - float(angle[0])) < 0.65
@@ -252,12 +233,10 @@ def test_a_skin_without_symmetry_sees_nearly_the_same_touch_from_every_side(
 
 
 @pytest.mark.parametrize("kind", [Plain, Turned, Centred])
-def test_no_dead_taxel_is_seen_and_a_batch_as_each_of_its_touches_alone(
-    kind: type, half_model: ObservationModel
-) -> None:
+def test_no_dead_taxel_is_seen_and_a_batch_as_each_of_its_touches(kind: type) -> None:
     """A batch goes by the few taxels that are pressed or dead, a touch by all of them."""
-    view, rng = kind(half_model.layout), np.random.default_rng(0)
-    z = torch.from_numpy(simulate(half_model, 50, rng).activation)
+    view, rng = kind(HALF_SKIN), np.random.default_rng(0)
+    z = torch.from_numpy(simulate(HALF, 50, rng).activation)
     live = torch.from_numpy(rng.random(z.shape) > 0.2).float()
     live[:10] = 1.0
     together, angles = view(z, live)

@@ -8,11 +8,8 @@ import pytest
 import torch
 
 from taxeld.arrays import Floats
-from taxeld.layout import read as layouts
-from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.noise import FLOOR, Noise
-from taxeld.model.observation import Observation, ObservationModel
 from taxeld_training.limits import quality
 from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import ExactPosterior, energy_distance
@@ -20,65 +17,51 @@ from taxeld_training.models.dataset import (
     FLOOR_MAX,
     MIN_ACTIVATION,
     Batches,
-    SimulatedTouches,
     read,
     simulate,
 )
 from taxeld_training.models.frames import PoseFrame
 
-from .rig import RING
+from .rig import HALF, HALF_SKIN, MODEL, SKIN, TOUCHES
 
-SKIN = layouts.load(RING)
 NOISE = Noise()
 DRAWS = 1000
 
 
-def test_every_simulated_touch_presses_a_taxel(
-    ring_model: ObservationModel, touches: SimulatedTouches
-) -> None:
-    assert len(touches) == 20_000
-    assert (touches.activation.max(axis=1) > MIN_ACTIVATION).all()
-    expected = ring_model.activation(touches.pose[:3000])
-    assert np.allclose(expected, touches.activation[:3000], atol=1e-6)
-
-
-def drawn(model: ObservationModel, touches: SimulatedTouches, noise: Noise, n: int) -> list[Floats]:
+def drawn(noise: Noise, n: int) -> list[Floats]:
     """z, live and pose of `n` readings that training meets."""
-    coordinates = PoseFrame().encode(touches.pose)
-    batches = Batches(touches, coordinates, model.leak, noise, 1, torch.device("cpu"))
+    coordinates = PoseFrame().encode(TOUCHES.pose)
+    batches = Batches(TOUCHES, coordinates, MODEL.leak, noise, 1, torch.device("cpu"))
     return [part.double().numpy() for part in batches.draw(n)]
 
 
-def test_training_meets_readings_of_the_poses(
-    ring_model: ObservationModel, touches: SimulatedTouches
-) -> None:
+def test_training_meets_readings_of_poses_that_press_a_taxel() -> None:
     """Up to what presses beside a taxel may leave in it."""
-    z, live, pose = drawn(ring_model, touches, Noise(sigma=0.0, gain_cv=0.0), 500)
-    expected = ring_model.activation(pose) * live
+    assert (TOUCHES.activation.max(axis=1) > MIN_ACTIVATION).all()
+    z, live, pose = drawn(Noise(sigma=0.0, gain_cv=0.0), 500)
+    expected = MODEL.activation(pose) * live
     felt = z > 0.0
-    assert (np.abs(z - expected) < 1e-3 + 6.0 * ring_model.leak.drawn(expected))[felt].all()
+    assert (np.abs(z - expected) < 1e-3 + 6.0 * MODEL.leak.drawn(expected))[felt].all()
     assert (expected < 0.4)[~felt].all()
     assert 0.01 < (live == 0).mean() < 0.2
 
 
-def test_training_meets_floors_of_any_height_and_presses_that_are_read_beside_them(
-    ring_model: ObservationModel, touches: SimulatedTouches
-) -> None:
+def test_training_meets_floors_of_any_height_and_presses_that_are_read_beside_them() -> None:
     """What is learned holds for all skins of the trials, and for one that sags and couples. But
     nothing is met that presses beside a taxel may explain."""
-    z, _, pose = drawn(ring_model, touches, NOISE, 3000)
+    z, _, pose = drawn(NOISE, 3000)
     least = np.where(z > 0.0, z, np.inf).min(axis=1)
     assert (least >= FLOOR).all()
     assert 0.3 < np.mean(least > 0.5 * FLOOR_MAX) < 1.0  # of an unthresholded skin hardly any
     assert (z.max(axis=1) > 0.0).mean() > 0.99
     # more than noise, which is never felt on its own
-    assert 0.005 < np.mean((z > 0.0) & (ring_model.activation(pose) == 0.0)) < 0.1
-    for each in (z, read(ring_model, NOISE, 500, np.random.default_rng(0)).z):
-        assert (each[each > 0.0] >= ring_model.leak.of(each)[each > 0.0]).all()
+    assert 0.005 < np.mean((z > 0.0) & (MODEL.activation(pose) == 0.0)) < 0.1
+    for each in (z, read(MODEL, NOISE, 500, np.random.default_rng(0)).z):
+        assert (each[each > 0.0] >= MODEL.leak.of(each)[each > 0.0]).all()
 
 
-def test_readings_are_as_a_filter_sees_them(ring_model: ObservationModel) -> None:
-    seen = read(ring_model, NOISE, 500, np.random.default_rng(0), dead=0.3)
+def test_readings_are_as_a_filter_sees_them() -> None:
+    seen = read(MODEL, NOISE, 500, np.random.default_rng(0), dead=0.3)
     assert len(seen) == len(list(seen)) == 500
     assert ((seen.z == 0.0) | (seen.z >= seen.floor)).all()
     assert (seen.floor >= FLOOR).all()
@@ -89,18 +72,16 @@ def test_readings_are_as_a_filter_sees_them(ring_model: ObservationModel) -> Non
     assert np.mean(~seen.live) == pytest.approx(0.3, abs=0.02)
 
 
-def test_the_exact_posterior_is_that_of_the_daemons_likelihood(
-    ring_model: ObservationModel,
-) -> None:
+def test_the_exact_posterior_is_that_of_the_daemons_likelihood() -> None:
     """Against importance weights over the same bank with every turn tried, and no shortcut."""
     rng = np.random.default_rng(0)
-    bank = simulate(ring_model, 4000, rng)
+    bank = simulate(MODEL, 4000, rng)
     posterior = ExactPosterior(bank, SKIN, NOISE)
     back = np.zeros((len(SKIN.turns), 3))
     back[:, 2] = -2.0 * np.pi * np.arange(len(SKIN.turns)) / len(SKIN.turns)
     poses = np.concatenate([se2.compose(turn, bank.pose) for turn in back])
     told = []
-    for seen in read(ring_model, NOISE, 6, rng):
+    for seen in read(MODEL, NOISE, 6, rng):
         log_w = np.concatenate(
             [
                 NOISE.log_density(
@@ -118,18 +99,6 @@ def test_the_exact_posterior_is_that_of_the_daemons_likelihood(
         assert energy_distance(found[0].pose, poses[pick], 0.05) < 0.01
         told.append(np.isclose([draws.ess for draws in found], ess, rtol=0.05))
     assert np.all(told, axis=0).tolist() == [True, False, False]
-
-
-def test_a_layout_without_symmetry_needs_no_turn(ring_model: ObservationModel) -> None:
-    half = Layout("half", SKIN.uid[:7], SKIN.position_m[:7], SKIN.normal[:7], SKIN.radius_m)
-    assert len(half.turns) == 1
-    one_row = ObservationModel(ring_model.scene, half, 0.005)
-    rng = np.random.default_rng(0)
-    posterior = ExactPosterior(simulate(one_row, 2000, rng), half, NOISE)
-    h = simulate(one_row, 1, rng).activation[0].astype(float)
-    seen = Observation(np.zeros(3), h, np.ones(7, dtype=bool))
-    draws = posterior.sample(seen, 50, rng)
-    assert np.abs(one_row.activation(draws.pose) - h).max(axis=1).mean() < 0.4
 
 
 @pytest.mark.parametrize("shift", [0.0, 1.5])
@@ -150,19 +119,16 @@ def test_the_distance_of_two_normal_distributions_is_that_of_the_closed_form(shi
 
 
 @pytest.mark.check
-def test_contacts_made_around_a_reading_have_the_posterior_of_a_bank_that_is_large_enough(
-    ring_model: ObservationModel,
-) -> None:
+def test_contacts_made_around_a_reading_have_the_posterior_of_a_large_bank() -> None:
     """A hundredth of the contacts is enough to begin with."""
     rng = np.random.default_rng(1)
     thin, full = (
-        ExactPosterior(simulate(ring_model, contacts, rng), ring_model.layout, NOISE)
-        for contacts in (2_000, 200_000)
+        ExactPosterior(simulate(MODEL, contacts, rng), SKIN, NOISE) for contacts in (2_000, 200_000)
     )
-    dense = Dense(ring_model, NOISE, rng)
-    length_m = ring_model.scene.size
+    dense = Dense(MODEL, NOISE, rng)
+    length_m = MODEL.scene.size
     told = 0
-    for one in read(ring_model, NOISE, 6, np.random.default_rng(4)):
+    for one in read(MODEL, NOISE, 6, np.random.default_rng(4)):
         made = dense.sample(one, DRAWS, rng, thin)
         assert made.ess > max(quality.LIMIT_ESS, thin.sample(one, 1, rng).ess)
         exact = full.sample(one, 2 * DRAWS, rng)
@@ -176,13 +142,11 @@ def test_contacts_made_around_a_reading_have_the_posterior_of_a_bank_that_is_lar
 
 
 @pytest.mark.check
-def test_no_reading_is_left_out_where_the_bank_alone_leaves_out_most(
-    half_model: ObservationModel,
-) -> None:
+def test_no_reading_is_left_out_where_the_bank_alone_leaves_out_most() -> None:
     rng = np.random.default_rng(2)
-    to = quality.reference(half_model, NOISE, 6, rng, bank=5_000)
+    to = quality.reference(HALF, NOISE, 6, rng, bank=5_000)
     assert to.left_out == 0
     assert min(to.ess) >= quality.LIMIT_ESS
-    bank = ExactPosterior(simulate(half_model, 5_000, rng), half_model.layout, NOISE)
-    alone = [bank.sample(one, 1, rng).ess for one in read(half_model, NOISE, 12, rng)]
+    bank = ExactPosterior(simulate(HALF, 5_000, rng), HALF_SKIN, NOISE)
+    alone = [bank.sample(one, 1, rng).ess for one in read(HALF, NOISE, 12, rng)]
     assert np.mean(np.array(alone) < quality.LIMIT_ESS) > 0.5

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from taxeld.arrays import Floats
-from taxeld.model import se2
-from taxeld.model.observation import ObservationModel
+from taxeld.arrays import Floats, Poses
+from taxeld.model import contacts, se2
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.ground import DEPTH_M, Ground
 from taxeld_hil.world.world import World
 
-from .rig import gap_m
+from .rig import MODEL, SKIN
 
 TRIALS = 4
 STEP_M = 0.002  # way of the sensor between two scans
@@ -26,28 +25,22 @@ def even(friction: float = 0.4) -> Ground:
     return Ground(points, np.full(16, 1.0 / 16.0), friction)
 
 
-def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> float:
+def depth(pose: Poses, sensor: Poses) -> float:
     seen = se2.compose(se2.inverse(sensor), pose)[None]
-    return -float(gap_m(model, seen)[0])
+    return -float(contacts.clearance(MODEL.scene, SKIN.radius_m, seen)[0])
 
 
-def ground_of(model: ObservationModel, seed: int) -> Ground:
-    return Ground.drawn(model.scene, np.random.default_rng(seed))
-
-
-def test_the_object_gives_way_until_friction_holds_it_and_never_moves_farther_than_the_sensor(
-    ring_model: ObservationModel,
-) -> None:
+def test_the_object_gives_way_until_friction_holds_it_and_stays_behind_the_sensor() -> None:
     ways_m, depths = [], []
     for seed in range(TRIALS):
-        made = World([ring_model], Conditions(robot_m=0.0), seed)
+        made = World([MODEL], Conditions(robot_m=0.0), seed)
         made.plan("push", 1)
         made.push()
         steps = [made.step(t) for t in np.arange(made.push_s, made.duration_s, 0.05)]
         for before, after in pairwise(steps):
-            if depth(ring_model, before.truth, after.sensor) < DEPTH_M:
+            if depth(before.truth, after.sensor) < DEPTH_M:
                 assert np.array_equal(before.truth, after.truth)
-        depths += [depth(ring_model, step.truth, step.sensor) for step in steps]
+        depths += [depth(step.truth, step.sensor) for step in steps]
         gap = se2.compose(se2.inverse(steps[0].truth), steps[-1].truth)
         ways_m.append(np.hypot(gap[0], gap[1]))
         assert ways_m[-1] < STEP_M * len(steps)

@@ -91,15 +91,6 @@ def test_the_grid_is_the_distance_to_the_outline() -> None:
     assert np.array_equal(scene.slices[0], scene.silhouette)
 
 
-def test_slices_follow_a_cone() -> None:
-    cone = trimesh.creation.cone(0.08, 0.1, sections=128)
-    scene = scenes.build(cone, SKIN, 0.04)
-    inside = [np.count_nonzero(piece < 0) * scene.cell**2 for piece in scene.slices]
-    radius = 0.08 * (1.0 - (0.04 + scene.heights) / 0.1)
-    assert np.allclose(inside, np.pi * radius**2, rtol=0.05)
-    assert np.count_nonzero(scene.silhouette < 0) == np.count_nonzero(scene.slices[0] < 0)
-
-
 def test_a_slice_above_the_object_is_far_and_a_skin_above_all_of_it_is_refused() -> None:
     scene = scenes.build(box(0.1, 0.1), SKIN, 0.09)
     assert (scene.slices[-1] == scenes.FAR_M).all()
