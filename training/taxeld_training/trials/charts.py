@@ -22,61 +22,46 @@ MARKERS = ("o", "s", "^", "D", "v", "P", ">")
 DPI = 120
 SHIPS = "table"
 SIZED = "table "  # methods that differ in their particles alone
-SCENES = ("002_master_chef_can", "003_cracker_box", "025_mug", "035_power_drill")
+KEYS = "ms", "to_sure"  # of the axes of the front
 LINE_IN = 0.19  # height of a line of the map
 
 
 def front(rows: Sequence[Row], path: Path) -> None:
-    """Processor time of a touch against touches until an object is found for sure: all filters
-    over all objects, and what single objects need of filters of several sizes."""
+    """Processor time of a touch against touches until an object is found for sure, of all filters
+    over all objects. A line joins those that differ in their size, a step the best."""
     every = [row for row in rows if row["of"].keys() == {"cell", "method"}]
-    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2), sharey=True)
-    for axes in (left, right):
-        _plain(axes)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
-        axes.xaxis.set_minor_locator(NullLocator())
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.set_xlabel("processor time of a touch [ms]", fontsize=9)
-    left.set_ylabel("touches until found and sure", fontsize=9)
+    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+    axes = figure.subplots()
+    _plain(axes)
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_xlabel("processor time of a touch [ms]", fontsize=9)
+    axes.set_ylabel("touches until found and sure", fontsize=9)
     for row in every:
         name = row["of"]["method"]
         is_sized = name.startswith(SIZED)
         low, high = row["ci"]["to_sure"]
         x, y = row["ms"], row["to_sure"]
         colour = COLOURS[0] if is_sized else COLOURS[1] if name == SHIPS else COLOURS[6]
-        left.plot([x, x], [low, high], color=colour, lw=0.8, alpha=0.6)
-        left.plot(x, y, "o", color=colour, ms=9 if name == SHIPS else 5)
+        axes.plot([x, x], [low, high], color=colour, lw=0.8, alpha=0.6)
+        axes.plot(x, y, "o", color=colour, ms=9 if name == SHIPS else 5)
         label = name.removeprefix(SIZED) + " (ships)" * (name == SHIPS)
-        offset = {"xytext": (0, -11) if is_sized else (5, 4), "textcoords": "offset points"}
-        left.annotate(label, (x, y), fontsize=7, color=colour, **offset)
+        away, unit = (0, -11) if is_sized else (5, 4), "offset points"
+        axes.annotate(label, (x, y), away, textcoords=unit, fontsize=7, color=colour)
     best: list[Row] = []
     for row in sorted(every, key=lambda row: row["ms"]):
         if not best or row["to_sure"] < best[-1]["to_sure"]:
             best.append(row)
     if best:
-        x, y = ([row[key] for row in best] for key in ("ms", "to_sure"))
+        x, y = ([row[key] for row in best] for key in KEYS)
         last = max(row["ms"] for row in every)
-        left.step([*x, last], [*y, y[-1]], where="post", color="0.6", lw=0.9, zorder=0)
-    sized = [row for row in rows if row["of"].get("method", "").startswith(SIZED)]
-    for name, colour, marker in zip(SCENES, COLOURS, MARKERS, strict=False):
-        own = [row for row in sized if row["of"].get("object") == name]
-        _line(right, own, colour, word(name), marker)
-    _line(left, [row for row in sized if row in every], COLOURS[0], "")
-    if right.lines:
-        right.legend(fontsize=8, frameon=False)
-    right.set_title("table, by object", fontsize=9)
-    left.set_title("all objects", fontsize=9)
+        axes.step([*x, last], [*y, y[-1]], where="post", color="0.6", lw=0.9, zorder=0)
+    sized = [row for row in every if row["of"]["method"].startswith(SIZED)]
+    x, y = ([row[key] for row in sorted(sized, key=lambda row: row["ms"])] for key in KEYS)
+    axes.plot(x, y, color=COLOURS[0], lw=1.0)
     _save(figure, path)
-
-
-def _line(axes: Axes, rows: Sequence[Row], colour: str, label: str, marker: str = "") -> None:
-    """Rows joined in the order of their cost."""
-    points = sorted((row["ms"], row["to_sure"]) for row in rows)
-    if points:
-        x, y = zip(*points, strict=True)
-        axes.plot(x, y, color=colour, marker=marker, ms=4, lw=1.0, label=label)
 
 
 def where(rows: Sequence[Row], path: Path) -> None:
