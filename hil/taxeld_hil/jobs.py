@@ -89,28 +89,26 @@ def run(
     todo = [job for job in jobs if results[job.name] is None]
     if todo and len(todo) < len(jobs):
         _say(f"{len(jobs) - len(todo)} of {len(jobs)} runs are remembered in {memory}")
-    began_s, done = time.monotonic(), 0
-
-    def keep(job: Job, result: Any) -> None:
-        nonlocal done
+    began_s = time.monotonic()
+    for done, (job, result) in enumerate(_results(todo, workers), 1):
         results[job.name] = result
         _write(job, memory, result)
-        done += 1
         taken = f"{done} of {len(todo)}, {time.monotonic() - began_s:.0f} s"
         _say(": ".join(filter(None, (taken, job.name, describe(result)))))
+    return results
 
+
+def _results(todo: Sequence[Job], workers: int | str) -> Iterator[tuple[Job, Any]]:
+    """Each job with its result, as it comes."""
     count = 0 if isinstance(workers, str) else min(workers, len(todo))
     if not todo or count == 1:
-        for job in todo:
-            keep(job, _work(job))
-        return results
+        yield from ((job, _work(job)) for job in todo)
+        return
     cure = ": try again with --workers 1; finished jobs are kept"
     pools = _on_dask(workers) if isinstance(workers, str) else _processes(count, None, cure)
     with pools as pool:
         futures = {pool.submit(_work, job): job for job in todo}
-        for future in as_completed(futures):
-            keep(futures[future], future.result())
-    return results
+        yield from ((futures[future], future.result()) for future in as_completed(futures))
 
 
 def read(job: Job, memory: Path) -> Any:

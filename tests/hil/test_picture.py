@@ -1,6 +1,5 @@
 """Pictures of a session say what is drawn, in which units, and tell the story in its order."""
 
-import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from taxeld.commands.replay import open_pipeline
 from taxeld.config import file as config_file
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
-from taxeld_hil import cli
 from taxeld_hil.run import picture
 from taxeld_hil.run.picture import DrawnScan, four
 
@@ -88,18 +86,6 @@ def test_a_session_whose_object_is_not_found_is_one_line_with_or_without_a_truth
         with pytest.raises(SetupError, match="is not found by touch"):
             picture.draw(session, tmp_path / "x.png")
     assert not (tmp_path / "x.png").exists()
-
-
-@pytest.mark.check
-def test_the_demo_offers_a_picture_by_matplotlib_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["run", "demo", "--clock", "fake"]) == 0
-    (offer,) = (line for line in capsys.readouterr().out.splitlines() if "draw it: " in line)
-    program, *arguments = shlex.split(offer.removeprefix("draw it: "))
-    assert (Path(program).name, cli.main(arguments)) == ("taxeld-hil", 0)
-    assert (tmp_path / "demo.png").is_file()
 
 
 @pytest.mark.parametrize("name", ["no/x.png", "x.nothing"])

@@ -37,10 +37,11 @@ def laws(ledger: Mapping[str, Any], health: Health, *, line: bool) -> list[Law]:
     that it counts one scan more, and two incomplete ones in place of a whole one. Of the counts
     that this allows, the laws expect the nearest to the host's.
     """
-    fates, health = Fates(**ledger["fates"]), _summed(health)
+    fates = Fates(**ledger["fates"])
+    parts = [health, *[*health.get("links", {}).values()][1:]]  # the first stands for itself
 
     def counted(*names: str) -> int:
-        return sum(value(health, name) for name in names)
+        return sum(value(part, name) for part in parts for name in names)
 
     scans, incomplete = counted("source.scans"), counted("source.incomplete")
     apart = 0 if ledger["knows_pauses"] else max(scans - fates.scans, 0)
@@ -78,22 +79,3 @@ def laws(ledger: Mapping[str, Any], health: Health, *, line: bool) -> list[Law]:
         Law("scans used, learned from or without a pose", counted("skin.scans"), counted(*TAKEN)),
         Law("poses", ledger["poses_heard"], heard),
     ]
-
-
-def _summed(health: Health) -> Health:
-    """The counters of several links, added as if they were one's. The first stands for itself."""
-    total = dict(health)
-    for part in [*health.get("links", {}).values()][1:]:
-        for name in ("source", "inputs", "skin"):
-            total[name] = _added(total[name], part.get(name, {}))
-    return total
-
-
-def _added(one: Health, two: Health) -> Health:
-    found = dict(one)
-    for name, more in two.items():
-        if isinstance(more, dict):
-            found[name] = _added(one.get(name, {}), more)
-        elif isinstance(more, (int, float)):
-            found[name] = one.get(name, 0) + more
-    return found
