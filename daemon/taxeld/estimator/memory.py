@@ -198,11 +198,14 @@ class Memory:
         known = [each.log_density(poses) for each in (self.prior, self.term) if each is not None]
         return np.column_stack([*known, met]) if known else met
 
-    def explain_newest(self, poses: Poses) -> Floats:
-        """log p(scan | pose) of the newest scan: poses (N, 3) → (N,)."""
-        at = np.arange(len(self) - 1, len(self))
-        explain = self._explainer(int(self.link[-1]), at)
-        return np.asarray(explain(poses)[:, 0] + self._untouched[-1])
+    def explain_next(self, scan: ScanEvidence, poses: Poses) -> Floats:
+        """log p(scan | pose) of a scan that comes next: poses (N, 3) → (N,)."""
+        seen, age = scan.observation, np.array([max(self.newest - scan.number, 0)])
+        variance = self.slack.variance(age) + seen.place_sd_m**2
+        explain = self.skin.explainers[seen.link].of(
+            scan.fields[:, None], seen.sensor[None], variance, np.array([not scan.is_contact])
+        )
+        return np.asarray(explain(poses)[:, 0] + scan.untouched)
 
     @cached_property
     def _explained(self) -> list[tuple[NDArray[np.intp], Explain]]:

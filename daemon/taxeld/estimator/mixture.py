@@ -102,11 +102,11 @@ class Mixture:
         samples = self._draw(scan.observation, self._wanted)
         self._age(scan.number)
         belief, before = self.belief, self.memory
-        memory = before.plus(scan, self.log_z)
-        newest = memory.explain_newest(belief.pose)
+        newest = before.explain_next(scan, belief.pose)
         if not scan.is_contact and scan.anything - newest.min() < TELLING:
             return 0, 0.0
-        self.memory, known = memory, before.runs.support(belief.remembered)
+        self.memory = memory = before.plus(scan, self.log_z)
+        known = before.runs.support(belief.remembered)
         belief.remembered = np.column_stack([belief.remembered, newest])
         evidence = pf.reweight(belief, memory.runs.support(belief.remembered) - known)
         if evidence is None:
@@ -296,9 +296,8 @@ class Mixture:
         tried = [replace(memory, slack=replace(now, scale=scale)) for scale in others]
         support, some = memory.runs.support, slice(None, None, max(len(belief) // FITTING, 1))
         known = support(belief.remembered)
-        gained = [
-            _log_mean(support(each.explain(belief.pose[some])) - known[some]) for each in tried
-        ]
+        gains = [support(each.explain(belief.pose[some])) - known[some] for each in tried]
+        gained = [pf.log_sum_exp(gain) - np.log(len(gain)) for gain in gains]
         best = int(np.argmax(gained))
         if gained[best] > SLACK_NATS:
             self.memory = tried[best]
@@ -360,9 +359,3 @@ class Mixture:
             memory.of_scans(terms)[:] = kept
             self.memory = memory.only(kept)
             self.belief.remembered = self.belief.remembered[:, terms]
-
-
-def _log_mean(values: Floats) -> float:
-    """Logarithm of the mean of exp(values)."""
-    top = float(values.max())
-    return top + float(np.log(np.exp(values - top).mean()))
