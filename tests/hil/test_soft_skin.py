@@ -16,7 +16,7 @@ from taxeld_hil.scenario.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.skin import COUNT_MAX, SimulatedSkin
-from taxeld_hil.world.soft_skin import Foam, PerPress, Response, ThermalDrift, cross_talk, drawn
+from taxeld_hil.world.soft_skin import Foam, PerPress, Response, cross_talk, drawn
 from taxeld_hil.world.world import World, world_of
 from tests.hil.rig import DEMO, MODEL, MODULES, SKIN
 
@@ -72,13 +72,6 @@ def test_cross_talk_adds_up_the_shares_of_all_presses_and_ends_at_the_module() -
     np.testing.assert_array_equal(share, share.T)  # of a pair the same both ways
 
 
-def test_drift_is_never_faster_than_asked() -> None:
-    drift = ThermalDrift(10, 3.0, 3600.0, 0.3, np.random.default_rng(0))
-    counts = np.array([drift.counts(t) for t in np.arange(0.0, 7200.0, 60.0)])
-    assert 2.5 < np.abs(np.diff(counts)).max() <= 3.0
-    assert counts[0] == pytest.approx(drift.counts(3600.0))
-
-
 @pytest.mark.parametrize("full_scale", [20_000.0, 60_000.0])
 def test_counts_stay_within_their_range_however_hard_the_press(full_scale: float) -> None:
     made = world_of(replace(MESH, full_scale_counts=full_scale, baseline_counts=20_000.0), 1)
@@ -95,6 +88,7 @@ def test_temperature_channels_drift_with_the_taxels_and_hardly_read_a_press() ->
     counts -= counts[0]
     t0 = counts[:, 0]
     assert np.ptp(t0) > 500
+    assert 50 < np.abs(np.diff(t0)).max() <= 61, "never faster than asked, but for rounding"
     share = counts[:, 1:11].T @ t0 / (t0 @ t0)
     assert np.corrcoef(counts[:, 1], t0)[0, 1] > 0.999
     assert 0.0 < share.std() < 1.0

@@ -15,12 +15,10 @@ from taxeld.config import endpoints
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.layout.layout import Layout
 from taxeld.service.doorkeeper import array_heard
 from taxeld.source import modules
 from taxeld.source.opening import open_source
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source
 from taxeld_hil.acceptance.checks import rules
 from taxeld_hil.acceptance.received import Received, Say, pressed_by_hand, receive
 from taxeld_hil.rules import Rule, failed, lines
@@ -60,7 +58,10 @@ def run(
     when = time.strftime("%Y-%m-%d %H:%M:%S")
     try:
         with Recorder(out, moves=False) as recorder:
-            source = opened(target, config, layout, recorder)
+            try:
+                source = open_source(config, layout, recorder)
+            except SetupError as error:  # a target has no configuration key to name
+                raise SetupError(f"TARGET {target}: {str(error).partition(': ')[2]}") from None
             with contextlib.closing(source), array_heard(source, config.endpoint):
                 got = receive(source, layout, say, seconds, period_ms, full_scale_counts)
                 if presses:
@@ -146,15 +147,3 @@ def source_of(target: str, period_ms: int) -> SourceConfig:
         return SourceConfig(kind=kind, channel=channel, period_ms=period_ms)
     interface = "socketcan" if kind == "can" else kind
     return SourceConfig(kind="can", interface=interface, channel=channel, period_ms=period_ms)
-
-
-def opened(target: str, config: SourceConfig, layout: Layout, recorder: Recorder) -> Source:
-    """The source of a target.
-
-    Raises:
-        SetupError: it cannot be opened, or another process has it.
-    """
-    try:
-        return open_source(config, layout, recorder)
-    except SetupError as error:  # a target has no configuration key to name
-        raise SetupError(f"TARGET {target}: {str(error).partition(': ')[2]}") from None

@@ -14,7 +14,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.skin.calibration import Calibration
 from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.soft_skin import Foam, PerPress, Response, ThermalDrift, cross_talk, drawn
+from taxeld_hil.world.soft_skin import Foam, PerPress, Response, cross_talk, drawn
 from taxeld_protocol.modules import Module
 
 COUNT_MAX = 0xFFFF
@@ -80,9 +80,11 @@ class SimulatedSkin:
         self.response = Response(skin, taxels, own)
         self._foam = Foam(skin, taxels, own)
         self._cross_talk = cross_talk(layout, skin.cross_talk, own)
-        self._thermal = ThermalDrift(
-            taxels, skin.drift_counts_per_min, skin.drift_period_s, skin.drift_cv, own
-        )
+        # the temperature adds one slow sine wave, and each taxel has a share of it
+        self._rate = 2.0 * np.pi / skin.drift_period_s
+        self._thermal_counts = skin.drift_counts_per_min / 60.0 / self._rate
+        self._phase = own.uniform(-np.pi, np.pi)
+        self._share = 1.0 + skin.drift_cv * own.standard_normal(taxels)
         self._drift = given.drift / 60.0 * given.full_scale_counts * faults.uniform(-1, 1, taxels)
         self._stuck: Index = faults.permutation(taxels)[: given.stuck]
         scattered = faults.permutation(taxels)[: round(given.dead_share * taxels)]
@@ -133,8 +135,9 @@ class SimulatedSkin:
     def counts(self, seen: Poses, t: float, *, touching: bool) -> list[int]:
         """One scan, channel by channel, as of `press`; 0 where a taxel is dead. `touching`: whether
         the first touch has begun."""
-        press, thermal = self.press(seen, t), self._thermal.counts(t)
-        drift = thermal * self._thermal.share + t * self._drift
+        press = self.press(seen, t)
+        thermal = self._thermal_counts * np.sin(self._rate * t + self._phase)
+        drift = thermal * self._share + t * self._drift
         noise = self._noise * self._rng.standard_normal(len(press))
         taxels = self.baseline + press + drift + noise
         if touching and len(self._stuck):

@@ -1,4 +1,4 @@
-"""Parts of a soft skin: what its taxels and presses draw, foam, responses, cross-talk, drift.
+"""Parts of a soft skin: what its taxels and presses draw, foam, responses, cross-talk.
 
 What a taxel or a press draws for itself comes from a lognormal that two quantiles give. The
 response curve is written here and in `taxeld.model.response`, by two formulas: a fault in one of
@@ -129,24 +129,3 @@ def cross_talk(layout: Layout, pair: Pair, rng: np.random.Generator) -> Floats:
     share[module[:, None] != module] = 0.0
     np.fill_diagonal(share, 0.0)
     return share
-
-
-class ThermalDrift:
-    """Counts that the temperature adds: one slow sine wave, and each taxel's share in it."""
-
-    def __init__(
-        self,
-        taxels: int,
-        counts_per_min: float,
-        period_s: float,
-        cv: float,
-        rng: np.random.Generator,
-    ) -> None:
-        self._rate = 2.0 * np.pi / period_s
-        self._counts = counts_per_min / 60.0 / self._rate
-        self._phase = rng.uniform(-np.pi, np.pi)
-        self.share = 1.0 + cv * rng.standard_normal(taxels)
-
-    def counts(self, t: float) -> float:
-        """The drift at t [s] of a taxel whose share is 1, and of T0."""
-        return float(self._counts * np.sin(self._rate * t + self._phase))
