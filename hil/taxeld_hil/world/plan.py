@@ -147,9 +147,8 @@ def presses(
 
     if around:
         step = 2.0 * np.pi / min(max(count, 1), AROUND_MOST)
-        return np.vstack(
-            [np.empty((0, 3)), *(drawn(1, side + k * step, JITTER * step) for k in range(count))]
-        )
+        sides = side + step * np.arange(count)
+        return np.reshape([drawn(1, each, JITTER * step) for each in sides], (-1, 3))
     within_rad = SIDE_RAD if given.one_side else np.pi
     pairs = 0 if twin is None else min(given.both, count)
     both, one = drawn(pairs, side, within_rad, twin), drawn(count - pairs, side, within_rad)
