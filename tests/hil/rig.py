@@ -34,6 +34,7 @@ TRUTH = np.array([0.05, -0.1, 0.7])  # pose of a touched object
 PLACED = np.array([0.05, -0.04, 0.6])  # pose of the object that calibrates
 PERIOD_S, BASE = 0.05, 10_000
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # turns between stretches of skin: even at any count
+FIRM = 0.4  # of full scale: a corner between two columns is pressed less
 
 
 def passing(
@@ -76,19 +77,20 @@ class PressedSkin:
     @classmethod
     def drawn(cls, model: ObservationModel, seed: int, presses: int = 20) -> "PressedSkin":
         rng, taxels, scene = np.random.default_rng(seed), len(model.layout), model.scene
-        # round the object, with every side of the skin in turn
-        k = np.arange(presses)
-        angle = 2.0 * np.pi * (k + rng.uniform(-0.3, 0.3, presses)) / presses
-        aside = 0.35 * scene.size * rng.uniform(-1.0, 1.0, presses)
-        c, s = np.cos(angle), np.sin(angle)
-        x, y = scene.centre[:, None] + scene.size * np.stack([c, s]) + aside * np.stack([-s, c])
-        yaw = np.pi + angle - 2.0 * np.pi * GOLDEN * k
-        depth_m = rng.uniform(0.0034, 0.0048, presses)
-        beside = contacts.pose_of_axis(x, y, -yaw)
-        held, _ = contacts.project(scene, model.layout.radius_m, beside, depth_m)
+        held: list[Poses] = []
+        while len(held) < presses:  # round the object, with every side of the skin in turn
+            angle = 2.0 * np.pi * (len(held) + rng.uniform(-0.3, 0.3)) / presses
+            ahead = np.array([np.cos(angle), np.sin(angle)])
+            aside = 0.35 * rng.uniform(-1.0, 1.0) * np.array([-ahead[1], ahead[0]])
+            x, y = (scene.centre + scene.size * (ahead + aside))[:, None]
+            yaw = np.pi + angle - 2.0 * np.pi * GOLDEN * len(held)
+            beside, depth_m = contacts.pose_of_axis(x, y, -yaw), rng.uniform(0.0034, 0.0048, 1)
+            press, _ = contacts.project(scene, model.layout.radius_m, beside, depth_m)
+            if model.activation(press).max() > FIRM:
+                held += [*press]
         return cls(
             model,
-            se2.compose(PLACED, se2.inverse(held)),
+            se2.compose(PLACED, se2.inverse(np.array(held))),
             rng.uniform(-1.0, 1.0, 3) * [0.004, 0.004, 0.07],
             float(rng.uniform(12_000.0, 30_000.0)),
             np.exp(0.15 * rng.standard_normal(taxels)),

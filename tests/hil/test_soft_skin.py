@@ -11,12 +11,20 @@ from hypothesis import strategies as st
 from taxeld.arrays import Floats, Poses
 from taxeld.config.gate import Given
 from taxeld.model import se2
+from taxeld.model.response import response
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.skin import COUNT_MAX, SimulatedSkin
-from taxeld_hil.world.soft_skin import Foam, PerPress, Response, cross_talk, drawn
+from taxeld_hil.world.skin import (
+    COUNT_MAX,
+    Foam,
+    PerPress,
+    SimulatedSkin,
+    cross_talk,
+    drawn,
+    onsets,
+)
 from taxeld_hil.world.world import World, world_of
 from tests.hil.rig import DEMO, MODEL, MODULES, SKIN
 
@@ -51,11 +59,11 @@ def test_a_response_is_exact_at_0_and_1_and_who_presses_harder_reads_more() -> N
         (0.0, (0.1, 10.0)),
     ):
         skin = replace(PLAIN, bend=bend, onset=onset)
-        read = Response(skin, 500, np.random.default_rng(0))(np.tile(h[:, None], 500))
+        read = response(h[:, None], bend, onsets(skin, 500, np.random.default_rng(0)))
         assert not read[0].any()
         np.testing.assert_allclose(read[h == 1.0], 1.0)
         assert (np.diff(read, axis=0) > 0.0).all(), (bend, onset)
-    np.testing.assert_allclose(Response(PLAIN, 1, np.random.default_rng(0))(h[:, None])[:, 0], h)
+    assert not onsets(PLAIN, 1, np.random.default_rng(0)).any()
 
 
 def test_cross_talk_adds_up_the_shares_of_all_presses_and_ends_at_the_module() -> None:

@@ -127,15 +127,16 @@ class CalibrationFit:
         u = self._begin
         for _ in range(ROUNDS):
             held = self._conditions(u)
-            found = least_squares(
-                partial(self._terms, held=held),
-                u,
-                jac_sparsity=self._sparsity(held),
-                diff_step=self._step,
-                loss="soft_l1",
-                ftol=1e-4,
-                max_nfev=STEPS,
-            )
+            with np.errstate(over="ignore"):  # of a step that goes too far, and is not taken
+                found = least_squares(
+                    partial(self._terms, held=held),
+                    u,
+                    jac_sparsity=self._sparsity(held),
+                    diff_step=self._step,
+                    loss="soft_l1",
+                    ftol=1e-4,
+                    max_nfev=STEPS,
+                )
             moved, u = np.abs(found.x - u).max(), found.x
             if moved < SETTLED:
                 break

@@ -1,8 +1,9 @@
 """A simulated skin: the counts of its taxels, which all differ, by how deep each is pressed.
 
-What a taxel has drawn for itself lasts; what a press draws ends with it. Foam acts on what a taxel
-reads of a press before its gain, and cross-talk on counts, as recordings give both as shares of
-readings. With every effect off (`PLAIN`) a taxel reads its depth, times its gain.
+What a taxel has drawn for itself lasts; what a press draws ends with it. Either comes from a
+lognormal that two quantiles give. Foam acts on what a taxel reads of a press before its gain, and
+cross-talk on counts, as recordings give both as shares of readings. With every effect off (`PLAIN`)
+a taxel reads its depth, times its gain.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,9 +13,10 @@ import numpy as np
 from taxeld.arrays import Floats, Index, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
+from taxeld.model.response import GRID, deviation, response
 from taxeld.skin.calibration import Calibration
+from taxeld_hil.scenario.mesh_config import MeshConfig, Pair
 from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.soft_skin import Foam, PerPress, Response, cross_talk, drawn
 from taxeld_protocol.modules import Module
 
 COUNT_MAX = 0xFFFF
@@ -29,6 +31,10 @@ LEFT = {
     "stiff": (0.028, 0.08),
 }
 STILL = 3.0  # standard deviations beyond which no baseline is drawn: it must stay a reading
+P90 = 1.2815515655446004  # the 90th percentile of a standard normal
+FARTHEST = 2.0  # standard deviations: nothing is drawn beyond the 2nd and the 98th percentile
+TURN = 0.1  # travel back, in full scales, after which the foam is on its other branch
+LEAST_SLOPE = 0.1  # least slope of a response: a harder press reads more
 
 Body = Callable[[Poses, Floats], Floats]
 """Object poses (K, 3) in the sensor frame, the sag's length of each taxel (M,) [m] → how deep the
@@ -47,6 +53,96 @@ def exact(model: ObservationModel) -> Body:
         return np.asarray(model.activation(near).max(axis=0))
 
     return pressed
+
+
+def drawn(pair: Pair, normal: Floats | float) -> Floats:
+    """Values of a lognormal of a median and a 90th percentile, at standard normals of any shape."""
+    median, p90 = pair
+    rate = np.log(p90 / median) / P90 if median else 0.0
+    return np.asarray(median * np.exp(rate * np.clip(normal, -FARTHEST, FARTHEST)))
+
+
+class PerPress:
+    """A property that is a taxel's own in half of its variance, and in the other half a press's,
+    the same for all taxels: the recordings do not tell the two apart, so the halves are assumed."""
+
+    def __init__(self, pair: Pair, taxels: int, rng: np.random.Generator) -> None:
+        self._pair, self._rng = pair, rng
+        self._own = rng.standard_normal(taxels)
+        self.draw()
+
+    def draw(self) -> None:
+        """Another press."""
+        press = self._rng.standard_normal()
+        self.now = drawn(self._pair, np.sqrt(0.5) * (self._own + press))  # (M,)
+
+
+class Foam:
+    """Hysteresis and residue: readings (M,) in shares of full scale, scan by scan.
+
+    Hysteresis: while a press deepens, the reading itself is read; while it recedes, more by the
+    taxel's share of it. This loop closes, does not depend on speed, and is zero at 0 (after Dahl's
+    model of friction).
+
+    Residue: a share of a press stays when it is over. It is the sum of two parts, one soon gone and
+    one long felt, each with the share of this taxel and press. While a part is below its share of
+    what is read it grows towards it with the time constant `loading_s`, so a tap leaves less and
+    what presses leave adds up, but never beyond the share; else it decays with its own.
+    """
+
+    def __init__(self, config: MeshConfig, taxels: int, rng: np.random.Generator) -> None:
+        self._loop = drawn(config.hysteresis, rng.standard_normal(taxels))
+        pairs = config.residue, config.residue_slow
+        self._share = [PerPress(pair, taxels, rng) for pair in pairs]
+        self._fading_s = np.array([[config.residue_s], [config.residue_slow_s]])
+        self._loading_s = config.loading_s
+        self._left = np.zeros((2, taxels))
+        self._reading, self._receding = np.zeros((2, taxels))
+        self._t = np.inf
+
+    def press(self, reading: Floats, t: float) -> Floats:
+        """Readings (M,) of the foam at time t [s] for ideal readings (M,); times do not go back."""
+        step = reading - self._reading
+        self._receding = np.clip(self._receding - step / TURN, 0.0, 1.0)
+        target = np.stack([share.now for share in self._share]) * reading
+        rate_s = np.where(target > self._left, self._loading_s, self._fading_s)
+        self._left += (target - self._left) * -np.expm1(-max(t - self._t, 0.0) / rate_s)
+        self._reading, self._t = reading, t
+        held = reading * (1.0 + self._loop * self._receding)
+        return np.asarray(np.maximum(held, self._left.sum(axis=0)))
+
+    @property
+    def is_felt(self) -> bool:
+        """Whether the last scan was of a press, or anything stays of earlier ones."""
+        return bool(self._reading.any() or self._left.any())
+
+    def end(self) -> None:
+        """A press is over: the next one has shares of its own."""
+        for share in self._share:
+            share.draw()
+
+
+def onsets(config: MeshConfig, taxels: int, rng: np.random.Generator) -> Floats:
+    """(M,) of taxels' responses, as of `taxeld.model.response`: a harder press reads more."""
+    onset = drawn(config.onset, rng.standard_normal(taxels))
+    room = np.diff(response(GRID, config.bend, np.zeros(1))) - LEAST_SLOPE * np.diff(GRID)
+    turn = np.diff(deviation(GRID))
+    least, most = -(room / turn)[turn > 0.0].min(), (room / -turn)[turn < 0.0].min()
+    return np.asarray(np.clip(onset - 1.0, min(least, 0.0), max(most, 0.0)))
+
+
+def cross_talk(layout: Layout, pair: Pair, rng: np.random.Generator) -> Floats:
+    """(M, M) the share of a press that each other taxel of its module reads.
+
+    They add up, as currents do. So what is read falls while all presses fade, whichever of them
+    then is the strongest.
+    """
+    normal = rng.standard_normal((len(layout), len(layout)))
+    share = drawn(pair, np.tril(normal) + np.tril(normal, -1).T)
+    module = layout.uid >> 4
+    share[module[:, None] != module] = 0.0
+    np.fill_diagonal(share, 0.0)
+    return share
 
 
 class SimulatedSkin:
@@ -77,7 +173,7 @@ class SimulatedSkin:
         own, faults = rng.spawn(2)
         self.depth: Floats = np.zeros(taxels)  # (M,) of the last press, sag included
         self._sag_m = PerPress(skin.sag_m, taxels, own)
-        self.response = Response(skin, taxels, own)
+        self._bend, self._onset = skin.bend, onsets(skin, taxels, own)
         self._foam = Foam(skin, taxels, own)
         self._cross_talk = cross_talk(layout, skin.cross_talk, own)
         # the temperature adds one slow sine wave, and each taxel has a share of it
@@ -113,7 +209,7 @@ class SimulatedSkin:
             gain_cv=gain_cv,
             gain=self.full_scale / given.full_scale_counts,
             gain_sd=zeros,
-            onset=self.response.steeper,
+            onset=self._onset,
             onset_sd=zeros,
             noise_counts=given.skin.noise_counts[0] + zeros,
             frozen=zeros > 0.0,
@@ -129,7 +225,8 @@ class SimulatedSkin:
             self._foam.end()
         if not self.depth.any() and not self._foam.is_felt:
             return np.zeros(len(self.depth))
-        counts = self.full_scale * self._foam.press(self.response(self.depth), t)
+        ideal = response(self.depth, self._bend, self._onset)
+        counts = self.full_scale * self._foam.press(ideal, t)
         return np.asarray(counts + self._cross_talk @ counts)
 
     def counts(self, seen: Poses, t: float, *, touching: bool) -> list[int]:
