@@ -28,9 +28,10 @@ FACING = np.array([0.04 + 0.05, 0.0, 0.0])  # a box's face just touches column 0
 
 @dataclass(frozen=True)
 class Box:
-    """An upright box around the origin, in closed form."""
+    """An upright box around the origin, or so much higher, in closed form."""
 
     half: Floats
+    z_m: float = 0.0
     centre = np.zeros(2)
 
     @property
@@ -38,28 +39,9 @@ class Box:
         return float(np.hypot(*self.half[:2]))
 
     def distance(self, points: Floats) -> Floats:
-        out = np.abs(points) - self.half[:, None]
+        out = np.abs(points - [[0.0], [0.0], [self.z_m]]) - self.half[:, None]
         outside = np.linalg.norm(np.maximum(out, 0.0), axis=0)
         return np.asarray(outside + np.minimum(out.max(axis=0), 0.0))
-
-
-@dataclass(frozen=True)
-class Lifted:
-    """A solid so much higher."""
-
-    solid: Box
-    z_m: float
-
-    @property
-    def centre(self) -> Floats:
-        return self.solid.centre
-
-    @property
-    def size(self) -> float:
-        return self.solid.size
-
-    def distance(self, points: Floats) -> Floats:
-        return self.solid.distance(points - np.array([[0.0], [0.0], [self.z_m]]))
 
 
 BOX = Box(HALF)
@@ -95,8 +77,7 @@ def test_an_object_that_does_not_touch_indents_nothing() -> None:
 
 def test_each_taxel_sags_by_its_own_length_and_one_of_length_0_not_at_all() -> None:
     """A rod of 2 mm presses 8 mm below one row of taxels, and 7 mm above the next."""
-    rod = Box(np.array([0.05, 0.05, 0.001]))
-    skin = MeshSkin(Lifted(rod, -0.008), SKIN, 0.002, 0.005)
+    skin = MeshSkin(Box(np.array([0.05, 0.05, 0.001]), -0.008), SKIN, 0.002, 0.005)
     lengths = np.zeros(len(SKIN))
     lengths[32], lengths[16] = 0.003, 0.006  # both column 0, in the rows beside the rod
     depth = skin.indentation(pressed(0.003), lengths)
