@@ -100,15 +100,20 @@ class Mixture:
     def take(self, scan: ScanEvidence) -> tuple[int, float]:
         """Learn from a scan; → the number of samples injected, and the scan's log evidence."""
         samples = self._draw(scan.observation, self._wanted)
-        self._age(scan.number)
         belief, before = self.belief, self.memory
-        newest = before.explain_next(scan, belief.pose)
-        if not scan.is_contact and scan.anything - newest.min() < TELLING:
-            return 0, 0.0
-        self.memory = memory = before.plus(scan, self.log_z)
+        # the object may have moved since the last contact, so what is remembered grows older
+        if before.slack.nudge_m and scan.number > before.newest:
+            self.memory = memory = before.plus(scan, self.log_z)
+            explained = memory.explain(belief.pose)
+        else:
+            newest = before.explain_next(scan, belief.pose)
+            if not scan.is_contact and scan.anything - newest.min() < TELLING:
+                return 0, 0.0
+            self.memory = memory = before.plus(scan, self.log_z)
+            explained = np.column_stack([belief.remembered, newest])
         known = before.runs.support(belief.remembered)
-        belief.remembered = np.column_stack([belief.remembered, newest])
-        evidence = pf.reweight(belief, memory.runs.support(belief.remembered) - known)
+        belief.remembered = explained
+        evidence = pf.reweight(belief, memory.runs.support(explained) - known)
         if evidence is None:
             evidence = 0.0
             self._begin_anew(scan, samples)
@@ -157,16 +162,6 @@ class Mixture:
         belief.remembered = self.memory.explain(belief.pose)
         pf.reweight(belief, self.memory.of_scans(belief.remembered).sum(axis=1))
         self.belief, self._place = belief, None
-
-    def _age(self, number: int) -> None:
-        """Let the remembered scans age when a contact begins, as the object may have moved."""
-        memory, belief = self.memory, self.belief
-        if not memory.slack.nudge_m or not len(memory) or number <= memory.newest:
-            return
-        self.memory = replace(memory, newest=number)
-        aged, support = self.memory.explain(belief.pose), memory.runs.support
-        pf.reweight(belief, support(aged) - support(belief.remembered))
-        belief.remembered = aged
 
     @property
     def is_open(self) -> bool:
