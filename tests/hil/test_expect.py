@@ -34,23 +34,6 @@ def trial(seed: int, name: str, *after: tuple[float, float]) -> RunRow:
     return {"name": name, "seed": seed, "after": noted}
 
 
-GOOD = trial(0, AS_IS, (31.0, 0.5), (1.0, 1.0))
-BAD = trial(1, AS_IS, (63.0, 1.0), (15.0, 0.5))
-
-
-def test_the_table_has_the_errors_and_shares_of_all_trials_after_each_touch() -> None:
-    assert expect.claims([GOOD, BAD]).by_touch() == {
-        "trials": 2,
-        "median_mm": [47.0, 8.0],
-        "q90_mm": [59.8, 13.6],
-        "found": [0, 1],
-        "found_and_sure": [0, 1],
-        "misleading_at": [1, 0],
-        "sure": 2,
-        "misleading": 1,
-    }
-
-
 def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance() -> None:
     def one(seed: int, name: str, sure_from: int) -> RunRow:
         after = [(5.0, 1.0) if k >= sure_from else (20.0, 0.0) for k in range(6)]
@@ -62,23 +45,11 @@ def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance
     runs = [*many(AS_IS, 10, 3, 9), *many("deeper foam", 10, 5)]
     runs += [*many("calibration", 10, 1), *many("larger patch", 10, 3, 9)]
     best, none, worst = expect.helps(runs)
-    assert [each.name for each in (best, none, worst)] == [
-        "calibration",
-        "larger patch",
-        "deeper foam",
-    ]
-    # after the fourth touch
-    assert (best.trials, best.after, best.found, best.found_and_sure) == (
-        10,
-        4,
-        (0.5, 1.0),
-        (0.5, 1.0),
-    )
-    assert (best.verdict, none.verdict, worst.verdict) == (
-        "would help",
-        "no difference seen",
-        "would hurt",
-    )
+    assert (best.name, best.verdict) == ("calibration", "would help")
+    assert (none.name, none.verdict) == ("larger patch", "no difference seen")
+    assert (worst.name, worst.verdict) == ("deeper foam", "would hurt")
+    assert (best.trials, best.after) == (10, 4), "touches"
+    assert best.found == best.found_and_sure == (0.5, 1.0)
     assert expect.helps(runs[:10] + many("calibration", 7, 1))[0].verdict == "too few seeds to tell"
 
 

@@ -62,7 +62,7 @@ def test_training_meets_floors_of_any_height_and_presses_that_are_read_beside_th
 
 def test_readings_are_as_a_filter_sees_them() -> None:
     seen = read(MODEL, NOISE, 500, np.random.default_rng(0), dead=0.3)
-    assert len(seen) == len(list(seen)) == 500
+    assert len(seen.z) == len(list(seen)) == 500
     assert ((seen.z == 0.0) | (seen.z >= seen.floor)).all()
     assert (seen.floor >= FLOOR).all()
     assert (seen.floor >= seen.residue).all()  # what presses beside a taxel leave is under it

@@ -28,11 +28,7 @@ from taxeld_training.candidates import interval
 from taxeld_training.progress import Tell
 
 STAGE, PAIRS = "trials", "pairs"
-FOAMS = {
-    "exact": Conditions(),
-    "typical": Conditions(foam="typical"),
-    "poor": Conditions(foam="poor"),
-}
+FOAMS = {"exact": Conditions()} | {foam: Conditions(foam=foam) for foam in ("typical", "poor")}
 SIZES = (25, 50, SHIPPED.particles, 200)  # N at least, of the filters that are tried
 TOUCHES = 8  # of a trial
 ENOUGH, FEW = 40, 8  # trials; fewer than enough choose no filter

@@ -1,4 +1,1 @@
-"""The limits of samplers and filters: the exact posterior, and a filter on a grid.
-
-The metrics stand here too. No sampler that ships is used to measure itself.
-"""
+"""What no sampler or filter beats: the exact posterior, a filter on a grid, and metrics."""

@@ -9,13 +9,13 @@ that is uniform over poses gives a cell its volume as weight.
 from dataclasses import dataclass, fields
 from typing import Self
 
-import contourpy
 import numpy as np
 
 from taxeld.arrays import Bools, Floats
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import Scene
+from taxeld_training.models.frames import level_sets
 
 FIRST_M, FIRST_DEEP_M, FIRST_RAD = 0.005, 0.00125, np.deg2rad(5.0)  # extents of the first cells
 
@@ -88,18 +88,15 @@ def tile(model: ObservationModel, margin_m: float = 0.0) -> Cells:
     """The first cells: every pose that presses the silhouette 0..δ_max deep, or would if the skin
     were up to `margin_m` elsewhere, is in one of them."""
     scene = model.scene
-    ny, nx = scene.silhouette.shape
-    x, y = (scene.origin[i] + scene.cell * np.arange(n) for i, n in enumerate((nx, ny)))
-    contours = contourpy.contour_generator(x, y, scene.silhouette)
     depth_m = model.depth_max_m + 2.0 * margin_m
     layers = max(round(depth_m / FIRST_DEEP_M), 1)
     deep = depth_m / layers
     # Each depth has its own level set. The normals of a single curve would leave out a wedge at a
     # concave corner and crowd at a convex one.
     sheets = [
-        _along(scene, np.asarray(loop, dtype=np.float64), radius, deep)
+        _along(scene, loop, radius, deep)
         for radius in model.layout.radius_m + margin_m - (np.arange(layers) + 0.5) * deep
-        for loop in contours.lines(radius)
+        for loop in level_sets(scene, radius)
     ]
     turns = round(2.0 * np.pi / FIRST_RAD)
     mid = np.repeat(np.concatenate([sheet[0] for sheet in sheets]), turns, axis=0)

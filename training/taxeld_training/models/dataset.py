@@ -122,9 +122,6 @@ class SimulatedReadings:
     floor: NDArray[np.float64]
     residue: NDArray[np.float64]
 
-    def __len__(self) -> int:
-        return len(self.z)
-
     def __iter__(self) -> Iterator[Observation]:
         """Each as evidence, by a sensor at the origin."""
         for each in zip(self.z, self.live, self.floor, self.residue, strict=True):

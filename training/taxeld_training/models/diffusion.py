@@ -64,15 +64,6 @@ class Denoiser(Model):
         self.mean.copy_(mean)
         self.scale.copy_(scale)
 
-    def whitened(self, coordinates: Tensor, angle: Tensor) -> Tensor:
-        """Coordinates (B, 3) → whitened features (B, 4) of the touch turned by −angle (B,)."""
-        features = self.frame.features(self.frame.turned(coordinates, angle))
-        return (features - self.mean) / self.scale
-
-    def poses(self, whitened: Tensor, angle: Tensor) -> Tensor:
-        """The inverse: whitened features (B, 4) and angle (B or 1,) → poses (B, 4)."""
-        return rotated(self.frame.decode(whitened * self.scale + self.mean), angle)
-
     def run(self, x: Tensor, shift: Tensor) -> Tensor:
         """x (B, 4), shift (B or 1, 3 W) → (B, 4)."""
         angle = torch.cat([x * (0.5 * math.pi * 2**k) for k in range(FOURIER_OCTAVES)], dim=-1)
@@ -87,7 +78,8 @@ class Denoiser(Model):
     def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
         """Like `Model.loss`: features (B, F), angle (B,), coordinates (B, 3) → loss ()."""
         code = self.encoder(seen)
-        clean = self.whitened(coordinates, angle).repeat(REPEATS, 1)
+        features = self.frame.features(self.frame.turned(coordinates, angle))
+        clean = ((features - self.mean) / self.scale).repeat(REPEATS, 1)
         context = self.context(code).repeat(REPEATS, 1)
         n = len(clean)
         # Each row has a t of its own, stratified over the batch, which lowers the variance.
@@ -126,7 +118,7 @@ class DiffusionSampler(nn.Module):
             v = net.run(x, context + self.time[t])
             clean = (math.sqrt(now) * x - math.sqrt(1.0 - now) * v).clamp(-4.0, 4.0)
             x = _ancestral(x, clean, now, before, noise[self.steps - t] if t else None)
-        return net.poses(x, angle)
+        return rotated(net.frame.decode(x * net.scale + net.mean), angle)
 
 
 def _ancestral(x: Tensor, clean: Tensor, now: float, before: float, noise: Tensor | None) -> Tensor:

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from taxeld.arrays import Floats, Poses
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
+from taxeld.model.scene import Scene
 
 CURVE_POINTS = 1024  # points of the contact curve in the graph: 0.9 mm apart on a power drill
 CURVE_FINE = 16  # factor of the points among which `encode` looks up s
@@ -130,13 +131,17 @@ def rotated(poses: Tensor, angle: Tensor) -> Tensor:
     return torch.stack([c * x - s * y, s * x + c * y, c * cos - s * sin, s * cos + c * sin], dim=-1)
 
 
-def _curve(model: ObservationModel, points: int) -> tuple[Floats, NDArray[np.int64]]:
-    """Points (P, 2) evenly along all loops of the contact curve, and the one after each."""
-    scene = model.scene
+def level_sets(scene: Scene, distance_m: float) -> list[Floats]:
+    """Loops (n, 2), first point repeated, at a distance from the silhouette."""
     ny, nx = scene.silhouette.shape
     x, y = (scene.origin[i] + scene.cell * np.arange(n) for i, n in enumerate((nx, ny)))
-    found_loops = contourpy.contour_generator(x, y, scene.silhouette).lines(model.layout.radius_m)
-    loops = [np.asarray(loop, dtype=np.float64) for loop in found_loops]
+    found = contourpy.contour_generator(x, y, scene.silhouette).lines(distance_m)
+    return [np.asarray(loop, dtype=np.float64) for loop in found]
+
+
+def _curve(model: ObservationModel, points: int) -> tuple[Floats, NDArray[np.int64]]:
+    """Points (P, 2) evenly along all loops of the contact curve, and the one after each."""
+    loops = level_sets(model.scene, model.layout.radius_m)
     lengths = [np.linalg.norm(np.diff(loop, axis=0), axis=1).cumsum() for loop in loops]
     ends = np.cumsum([length[-1] for length in lengths])
     at = np.arange(points) / points * ends[-1]

@@ -6,7 +6,6 @@ or that is in another unit, gives a scene that is cut in the wrong places.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -25,13 +24,6 @@ NEAR_M = 0.003  # vertices so near the lowest one carry the object: a scanned fl
 TIPS_M = 0.002  # an object tips over whose centre is so far outside the area that carries it
 SHARE = 0.5  # share of its footprint on which an object stands well
 BETTER = 2.0  # an object lies on its side if another one carries so many times as much
-
-
-class Footing(NamedTuple):
-    """How a mesh stands on its lowest vertices."""
-
-    share: float  # share of its footprint that these vertices span
-    outside_m: float  # how far its centre lies beside them
 
 
 TURNS = {  # turn in words → its matrix
@@ -95,25 +87,26 @@ def _size(mesh: trimesh.Trimesh) -> str:
 
 def _side(mesh: trimesh.Trimesh) -> str:
     corners, centre = np.asarray(mesh.vertices), np.asarray(mesh.centroid)
-    now = rest(corners, centre)
-    turned = {name: rest(corners @ turn.T, turn @ centre) for name, turn in TURNS.items()}
-    standing = {name: r.share for name, r in turned.items() if r.outside_m <= TIPS_M}
+    share, outside_m = _rest(corners, centre)
+    turned = {name: _rest(corners @ turn.T, turn @ centre) for name, turn in TURNS.items()}
+    standing = {name: share for name, (share, off_m) in turned.items() if off_m <= TIPS_M}
     name = max(standing, key=lambda turn: standing[turn], default="")
     best = standing.get(name, 0.0)
-    tips = now.outside_m > TIPS_M
-    if not tips and (now.share >= SHARE or best < BETTER * now.share):
+    tips = outside_m > TIPS_M
+    if not tips and (share >= SHARE or best < BETTER * share):
         return ""
-    what = "would tip over" if tips else f"rests on {now.share:.0%} of its footprint"
+    what = "would tip over" if tips else f"rests on {share:.0%} of its footprint"
     cure = f"turn it by {name} if it lies on its side" if name else "turn it in your CAD program"
     return f"it {what}; the mesh's z axis must point up: {cure}"
 
 
-def rest(corners: NDArray[np.float64], centre: NDArray[np.float64]) -> Footing:
-    """How a body with these corners (n, 3) and this centre (3,) stands, z up."""
+def _rest(corners: NDArray[np.float64], centre: NDArray[np.float64]) -> tuple[float, float]:
+    """How a body with these corners (n, 3) and this centre (3,) stands, z up: the share of its
+    footprint that its lowest corners span, and how far its centre lies beside them [m]."""
     low = corners[:, 2] < corners[:, 2].min() + NEAR_M
     base = shapely.MultiPoint(corners[low, :2]).convex_hull
     footprint = shapely.MultiPoint(corners[:, :2]).convex_hull
-    return Footing(base.area / footprint.area, float(base.distance(shapely.Point(centre[:2]))))
+    return base.area / footprint.area, float(base.distance(shapely.Point(centre[:2])))
 
 
 def _below(layout: Layout, height_m: float) -> str:

@@ -1,4 +1,1 @@
-"""Questions and their answers: trials of the harness, their figures, tables, charts and pages.
-
-Imports all other rooms, `charts` only where it draws.
-"""
+"""Questions and their answers: trials of the harness, figures, tables, charts and pages."""

@@ -47,11 +47,6 @@ def write(path: Path, about: Mapping[str, str], rows: Sequence[Row]) -> Path:
     return path
 
 
-def read(path: Path) -> list[Row]:
-    """The rows of such a file."""
-    return list(json.loads(path.read_text(encoding="utf-8"))["rows"])
-
-
 def text(rows: Sequence[Row], spec: str) -> str:
     """A table in Markdown, by `LABEL=VALUE, … | LABEL | FIGURE TOUCH … [by LABEL] | … | all`.
 
@@ -166,7 +161,8 @@ def filled(page: str) -> str:
 
     def made(block: re.Match[str]) -> str:
         head, name, spec, _, end = block.groups()
-        return f"{head}{text(read(DOCS / 'results' / f'{name}.json'), spec)}\n{end}"
+        kept = (DOCS / "results" / f"{name}.json").read_text(encoding="utf-8")
+        return f"{head}{text(json.loads(kept)['rows'], spec)}\n{end}"
 
     return BLOCK.sub(made, page)
 
