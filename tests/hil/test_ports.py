@@ -1,9 +1,8 @@
 """The skin's end of a transport: its device's name, and its listeners, who come and go."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zmq
@@ -11,7 +10,7 @@ import zmq
 from taxeld.errors import SetupError
 from taxeld.stream.topics import SENSOR_POSE
 from taxeld_hil.rig.bench import Bench
-from taxeld_hil.rig.ports import ArrayPort, NativePort
+from taxeld_hil.rig.ports import ArrayPort, Feed, NativePort
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario import scenario
 from taxeld_protocol import array
@@ -28,90 +27,61 @@ def sockets() -> Iterator[Sockets]:
         yield made
 
 
-@pytest.fixture
-def poses(tmp_path: Path) -> str:
-    return f"ipc://{tmp_path}/poses"
-
-
-@pytest.fixture
-def bench(poses: str, tmp_path: Path) -> Iterator[Bench]:
-    with closing(Bench(Rig(scenario.load("demo"), 0), tmp_path / "skin", poses)) as made:
-        yield made
-
-
-def hears(bench: Bench, host: zmq.Socket[Any], poses: int = 3) -> None:
-    """Have the robot send until a host has heard so many poses from now on."""
-    while host.poll(0):
-        host.recv_multipart()
-
-    def heard() -> bool:
-        nonlocal poses
-        bench.step()
-        while host.poll(0):
-            poses -= host.recv_multipart()[0] == SENSOR_POSE
-        return poses <= 0
-
-    until(heard)
-
-
-def settled(bench: Bench) -> None:
-    """Have the robot take what its listeners have said."""
-    assert bench.poses.socket.poll(PATIENCE_MS)
-    sent = bench.rig.ledger.poses_sent
-    until(lambda: bench.step() or bench.rig.ledger.poses_sent > sent)
-
-
-def looks_for_all(stays: zmq.Socket[Any], _: zmq.Socket[Any], bench: Bench) -> None:
-    """As a daemon does that has looked for other topics."""
-    stays.setsockopt(zmq.SUBSCRIBE, b"")
-    settled(bench)
-    stays.setsockopt(zmq.UNSUBSCRIBE, b"")
-
-
-@pytest.mark.parametrize(
-    "leave",
-    [
-        looks_for_all,
-        lambda _, other, __: other.setsockopt(zmq.UNSUBSCRIBE, b"/robot"),
-        lambda _, other, __: other.close(),
-    ],
-    ids=["all topics", "its own topic", "altogether"],
-)
-def test_poses_go_on_when_one_of_two_listeners_leaves(
-    bench: Bench, sockets: Sockets, poses: str, leave: Callable[..., None]
+def test_a_topic_is_heard_until_the_last_of_those_leaves_whose_prefixes_have_it(
+    sockets: Sockets, tmp_path: Path
 ) -> None:
-    stays, other = sockets.subscriber(poses, SENSOR_POSE), sockets.subscriber(poses, b"/robot")
-    hears(bench, stays)
-    hears(bench, other)
-    leave(stays, other, bench)
-    settled(bench)
-    hears(bench, stays)
+    endpoint = f"ipc://{tmp_path}/poses"
+    with Feed(endpoint, "--poses") as feed:
+
+        def is_heard() -> bool:
+            assert feed.socket.poll(PATIENCE_MS), "nobody has come or left"
+            return feed.is_heard(SENSOR_POSE)
+
+        stays = sockets.subscriber(endpoint, SENSOR_POSE)
+        assert is_heard()
+        stays.setsockopt(zmq.SUBSCRIBE, b"")  # as a daemon does that has looked for other topics
+        assert is_heard()
+        stays.setsockopt(zmq.UNSUBSCRIBE, b"")
+        assert is_heard()
+        other = sockets.subscriber(endpoint, b"/robot")
+        assert is_heard()
+        other.setsockopt(zmq.UNSUBSCRIBE, b"/robot")
+        assert is_heard()
+        other.setsockopt(zmq.SUBSCRIBE, b"/robot")
+        assert is_heard()
+        other.close()
+        assert is_heard()
+        stays.close()
+        assert not is_heard()
+        sockets.subscriber(endpoint, SENSOR_POSE)
+        assert is_heard(), "one that connects anew"
 
 
-def test_a_listener_that_connects_anew_goes_on_hearing(
-    bench: Bench, sockets: Sockets, poses: str
+def test_poses_are_sent_and_counted_only_while_somebody_listens_to_them(
+    sockets: Sockets, tmp_path: Path
 ) -> None:
-    old = sockets.subscriber(poses, SENSOR_POSE, b"")
-    hears(bench, old)
-    old.close()
-    settled(bench)
-    hears(bench, sockets.subscriber(poses, SENSOR_POSE))
+    rig, endpoint = Rig(scenario.load("demo"), 0), f"ipc://{tmp_path}/poses"
+    ledger, host = rig.ledger, sockets.subscriber(endpoint, b"/robot/other")
+    with closing(Bench(rig, tmp_path / "skin", endpoint)) as bench:
 
+        def sends() -> None:
+            """Poses, after it has taken what the listener has said."""
+            assert bench.poses.socket.poll(PATIENCE_MS)
+            sent = ledger.poses_sent
+            until(lambda: bench.step() or ledger.poses_sent > sent + 1)
 
-def test_poses_count_as_heard_only_while_somebody_listens_to_them(
-    bench: Bench, sockets: Sockets, poses: str
-) -> None:
-    ledger = bench.rig.ledger
-    host = sockets.subscriber(poses, b"/robot/other")
-    settled(bench)
-    assert ledger.poses_heard == 0
-    host.setsockopt(zmq.SUBSCRIBE, SENSOR_POSE)
-    hears(bench, host)
-    host.setsockopt(zmq.UNSUBSCRIBE, SENSOR_POSE)
-    settled(bench)
-    heard, sent = ledger.poses_heard, ledger.poses_sent
-    until(lambda: bench.step() or ledger.poses_sent > sent + 1)
-    assert 3 <= heard == ledger.poses_heard
+        sends()
+        assert ledger.poses_heard == 0
+        host.setsockopt(zmq.SUBSCRIBE, SENSOR_POSE)
+        sends()
+        counted = ledger.poses_heard
+        assert counted > 0
+        for _ in range(counted):
+            assert host.poll(PATIENCE_MS)
+            assert host.recv_multipart()[0] == SENSOR_POSE
+        host.setsockopt(zmq.UNSUBSCRIBE, SENSOR_POSE)
+        sends()
+        assert ledger.poses_heard == counted
 
 
 def test_arrays_come_from_the_first_listener_on_until_the_last_has_left(

@@ -24,11 +24,8 @@ SMALL = "cylinder:rows=2,columns=20,radius_m=0.04,pitch_m=0.015"  # four modules
 SHORT = """\
 bundle = "box"
 contacts = 3
-[expect]
-found = false
-[[fault]]
-kind = "subscriber_dead"
-at_s = 2.0
+expect = {found = false}
+fault = [{kind = "subscriber_dead", at_s = 2.0}]
 """
 
 

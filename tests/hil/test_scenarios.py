@@ -35,25 +35,13 @@ ROUGH = """\
 bundle = "box"
 physics = "scene"
 contacts = 4
-[[fault]]
-kind = "corrupted"
-at_s = 2.0
-for_s = 3.0
-[[fault]]
-kind = "unplugged"
-at_s = 6.0
-for_s = 2.0
-[[fault]]
-kind = "adapter_closed"
-at_s = 9.0
-for_s = 0.1
-[[fault]]
-kind = "daemon_killed"
-at_s = 12.0
-for_s = 0.5
-[expect]
-found = false
-recovery_s = 15.0
+expect = {found = false, recovery_s = 15.0}
+fault = [
+    {kind = "corrupted", at_s = 2.0, for_s = 3.0},
+    {kind = "unplugged", at_s = 6.0, for_s = 2.0},
+    {kind = "adapter_closed", at_s = 9.0, for_s = 0.1},
+    {kind = "daemon_killed", at_s = 12.0, for_s = 0.5},
+]
 """
 
 

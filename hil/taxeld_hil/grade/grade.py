@@ -23,13 +23,13 @@ from taxeld_hil.grade import session
 from taxeld_hil.grade.flags import signs
 from taxeld_hil.grade.reconcile import laws
 from taxeld_hil.grade.session import POSE, Reception, Run
+from taxeld_hil.rules import MARKS
 from taxeld_hil.scenario.scenario import Expect
 from taxeld_hil.world.world import load_model
 
 GRADE = "grade.json"
 PERCENTILES = {"p50": 50, "p90": 90, "p99": 99, "max": 100}
 EPISODES_KEPT = 100
-MARKS = {True: "ok  ", False: "FAIL", None: "-   "}
 UNKNOWN = "not graded: the true pose is not known"
 
 
@@ -41,7 +41,7 @@ class Check(NamedTuple):
     detail: str
 
     def __str__(self) -> str:
-        return f"{MARKS[self.passed]}  {self.name}: {self.detail}"
+        return f"{MARKS[self.passed]:<4}  {self.name}: {self.detail}"
 
 
 @dataclass(frozen=True, slots=True)

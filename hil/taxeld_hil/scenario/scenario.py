@@ -190,14 +190,8 @@ class Scenario:
         return replace(self, bundle=bundle, bundles=(*others, bundle))
 
     def over(self, transport: str) -> "Scenario":
-        """The same scenario over another transport; over its own where none is named.
-
-        Raises:
-            SetupError: there is none of that name.
-        """
-        if transport and transport not in TRANSPORTS:
-            raise SetupError(f"no transport '{transport}'; there are {', '.join(TRANSPORTS)}")
-        return replace(self, transport=transport) if transport else self
+        """The same scenario over one of TRANSPORTS; over its own where none is named."""
+        return replace(self, transport=transport or self.transport)
 
 
 def _has_modules(layout: str) -> bool:
