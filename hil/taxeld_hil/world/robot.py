@@ -5,7 +5,7 @@ straight line, along which the robot slows before it presses. Its way around is 
 where the object stands.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -50,16 +50,6 @@ class RobotPath:
         off = [np.interp(t, self.off_t, column) for column in self.off.T]
         return np.asarray(self.at(t) + np.stack(off, axis=-1))
 
-    def erring(self, sd_m: float, seed: int, sd_rad: float = 0.0) -> "RobotPath":
-        """The same path of a robot whose error is drawn for each touch, and lasts through it."""
-        if not (sd_m or sd_rad) or not len(self.touched):
-            return self
-        count = len(self.touched)
-        place = np.random.default_rng([seed, 11]).normal(0.0, sd_m, (count, 2))
-        turn = np.random.default_rng([seed, 12]).normal(0.0, sd_rad, (count, 1))
-        off = np.repeat(np.hstack([place, turn]), 2, axis=0)
-        return replace(self, off=off, off_t=self.touched.ravel())
-
 
 class LinkRobot:
     """One link's robot, whose path grows."""
@@ -68,11 +58,16 @@ class LinkRobot:
         """`pose` (3,): where it begins."""
         self._t, self._pose, self._touched = [0.0], [pose], list[list[float]]()
 
-    @property
-    def path(self) -> RobotPath:
-        """So far."""
-        touched = np.reshape(self._touched, (-1, 2))
-        return RobotPath(np.array(self._t), np.array(self._pose), touched)
+    def path(self, sd_m: float, sd_rad: float, seed: int) -> RobotPath:
+        """So far, of a robot whose error is drawn for each touch, and lasts through it."""
+        t, pose, count = np.array(self._t), np.array(self._pose), len(self._touched)
+        if not count:
+            return RobotPath(t, pose)
+        touched = np.array(self._touched)
+        place = np.random.default_rng([seed, 11]).normal(0.0, sd_m, (count, 2))
+        turn = np.random.default_rng([seed, 12]).normal(0.0, sd_rad, (count, 1))
+        off = np.repeat(np.hstack([place, turn]), 2, axis=0)
+        return RobotPath(t, pose, touched, off, touched.ravel())
 
     @property
     def now(self) -> float:

@@ -165,7 +165,7 @@ class World:
     def _take_paths(self) -> None:
         sd = self._given.robot_m, self._given.robot_rad
         self.paths = [
-            toucher.robot.path.erring(sd[0], self._seed + LINK_SEEDS * k, sd[1])
+            toucher.robot.path(*sd, self._seed + LINK_SEEDS * k)
             for k, toucher in enumerate(self._touchers)
         ]
 
