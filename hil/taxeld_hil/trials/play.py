@@ -22,7 +22,7 @@ from taxeld_hil.trials.case import Case
 from taxeld_hil.trials.guides import BeliefGuide
 from taxeld_hil.world.plan import PLANNED, PUSH_M
 from taxeld_hil.world.subjects import model_of
-from taxeld_hil.world.world import World, made
+from taxeld_hil.world.world import World, planned_world
 from taxeld_protocol.decoder import Scan
 
 TICK_S = 0.01  # between two poses
@@ -87,8 +87,8 @@ class Direct:
 
 
 def world_of(case: Case, seed: int) -> World:
-    """The world of a trial. Raises SetupError as `made`."""
-    return made(case.subject, case.specs, case.conditions, case.guide, case.touches, seed)
+    """The world of a trial. Raises SetupError as `planned_world`."""
+    return planned_world(case.subject, case.specs, case.conditions, case.guide, case.touches, seed)
 
 
 def play(case: Case, seed: int) -> list[Touch]:

@@ -222,7 +222,7 @@ class World:
         return Step(sensor, truth, skin.depth, counts)
 
 
-def made(
+def planned_world(
     subject: Subject,
     specs: Sequence[str],
     given: Conditions,
@@ -245,11 +245,11 @@ def made(
 
 
 def world_of(scenario: Scenario, seed: int) -> World:
-    """The world of a scenario. Raises SetupError as `made`."""
+    """The world of a scenario. Raises SetupError as `planned_world`."""
     specs = [scenario.of_link(k).skin_layout for k in range(scenario.links)]
     subject, given = Subject(scenario.bundle), Conditions.of(scenario)
     kind = Group if scenario.transport == "array" else Module
-    return made(subject, specs, given, guide_of(scenario), scenario.contacts, seed, kind)
+    return planned_world(subject, specs, given, guide_of(scenario), scenario.contacts, seed, kind)
 
 
 def load_model(scenario: Scenario) -> ObservationModel:
