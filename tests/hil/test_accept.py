@@ -276,5 +276,5 @@ def test_a_target_is_one_of_the_daemons_sources(
     target: str, kind: str, interface: str, channel: str
 ) -> None:
     found = accept.source_of(target, 20)
-    assert (found.kind, found.interface, found.channel) == (kind, interface, channel)
-    assert found.period_ms == 20
+    expected = (kind, interface, channel, 20)
+    assert (found.kind, found.interface, found.channel, found.period_ms) == expected

@@ -154,11 +154,12 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
 RECORDED = Path(__file__).parents[1] / "daemon" / "session"
 
 
-def test_the_check_doubts_most_wrong_full_scales_and_no_right_one(tmp_path: Path) -> None:
-    wrong = 0
+def test_twelve_touches_doubt_most_wrong_full_scales_and_no_right_one(tmp_path: Path) -> None:
+    wrong, twelve = 0, tmp_path / "twelve.toml"
+    twelve.write_text('bundle = "box"\ncontacts = 12\n', encoding="utf-8")
     for seed in range(4):
         session = tmp_path / str(seed)
-        line = ["run", "demo", "--clock", "fake", "--foam", "typical", "--seed", str(seed)]
+        line = ["run", str(twelve), "--clock", "fake", "--seed", str(seed)]
         assert hil([*line, "--out", str(session)]) == 0
         assert main(["calibrate", str(session), "--check"]) == 0
         config = session / "config.toml"

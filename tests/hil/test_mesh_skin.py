@@ -68,6 +68,7 @@ def test_a_flat_press_is_as_deep_as_the_plane_stands_in_each_normals_way(depth_m
     way = (0.04 - depth_m) / np.maximum(np.cos(column), 1e-9)  # from the axis to the face
     expected = np.where(np.cos(column) > 0.0, np.clip(0.04 - way, 0.0, None), 0.0)
     np.testing.assert_allclose(hard(pressed(depth_m)), expected, atol=1e-9)
+    assert hard(pressed(0.02)).max() == pytest.approx(LAYER_M), "no deeper than the skin"
 
 
 def test_an_object_that_does_not_touch_indents_nothing() -> None:
@@ -102,10 +103,6 @@ def test_a_wall_thinner_than_the_press_is_read_as_deep_as_its_outside() -> None:
     wall = Box(np.array([0.001, 0.03, 0.04]))
     pose = np.array([0.04 + 0.001 - 0.004, 0.0, 0.0])
     assert hard(pose, wall)[0] == pytest.approx(0.004, abs=1e-9)
-
-
-def test_no_press_is_deeper_than_the_skin() -> None:
-    assert hard(pressed(0.02)).max() == pytest.approx(LAYER_M)
 
 
 def test_a_mesh_of_a_box_has_its_closed_form(tmp_path: Path) -> None:
