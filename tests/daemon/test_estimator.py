@@ -21,6 +21,7 @@ from taxeld.model.observation import Activation, ObservationModel
 from taxeld.proposals.analytic import Manifold, Projection
 from tests.rig.pressed_box import (
     TRUTH,
+    World,
     approach,
     box_side,
     estimator,
@@ -144,14 +145,13 @@ def test_a_belief_that_becomes_impossible_begins_anew(box_model: ObservationMode
     assert near.mean() > 0.9
 
 
-def test_searches_come_one_at_a_time_when_they_are_asked_for(
-    box_model: ObservationModel,
-) -> None:
+def test_searches_come_one_at_a_time_when_asked_for(box_model: ObservationModel) -> None:
     """The result is the same whether each is taken with its scan, or later but before the next."""
-    at_once, later = estimator(box_model), estimator(box_model)
-    changed = 0
+    world, changed = World(box_model), 0
+    at_once, later = world.knowing(), world.knowing()
     for k in range(40):
-        sensor = press(0.01 if k % 5 > 2 else 0.002 * (k // 5 % 2) - 0.004)
+        deep_m = -0.02 if k % 5 > 2 else 0.003
+        world.sensor = sensor = se2.compose(TRUTH, box_side(box_model, 1.35 * (k // 5), deep_m))
         activation = feel(box_model, sensor, 0.2 * k)
         whole = messages_of(at_once.on_scan(activation, sensor))
         first = messages_of(later.on_scan(activation, sensor, thinks=False))

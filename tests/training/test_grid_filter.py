@@ -142,12 +142,12 @@ def test_the_truth_stays_in_the_belief_and_the_estimate_reaches_it() -> None:
     assert symmetry.add_m(MODEL.scene, belief.estimate(), truth)[1] < 0.002
 
 
-@pytest.mark.check
-def test_the_belief_is_that_of_brute_force_and_all_of_a_scan_counts() -> None:
-    """A silent scan beside a face, two scans of one contact and one of another, the sensor reported
-    3 mm off throughout each contact. Poses drawn by chance are weighed by the daemon's memory."""
+def gaps(number: int) -> list[float]:
+    """The distances of a grid's belief to poses drawn by chance and weighed by the daemon's memory,
+    the last four with something unsaid. A silent scan beside a face, two scans of one contact and
+    one of another, the sensor reported 3 mm off throughout each contact."""
     noise, sd_m = Noise(sigma=0.1, gain_cv=0.3, outliers=0.05), 0.003
-    rng = situation(7)
+    rng = situation(number)
     first, other = contact_poses(2, rng)
     slid = se2.compose(np.array([0.0, 0.0, 0.15]), first)
     floor = np.where(np.arange(len(SKIN)) % 2 > 0, 0.3, 0.02)
@@ -186,7 +186,11 @@ def test_the_belief_is_that_of_brute_force_and_all_of_a_scan_counts() -> None:
                 grid.update(given, contact if shared else k, touched=k > 0)
         return energy_distance(drawn(grid, 800), exact, 0.05)
 
-    gap = gap_of()
-    assert gap < 0.02
-    for unsaid in ({"slack_m": 0.0}, {"residues": False}, {"shared": False}, {"silent": False}):
-        assert gap_of(**unsaid) > 3.0 * gap, unsaid
+    unsaid = {"slack_m": 0.0}, {"residues": False}, {"shared": False}, {"silent": False}
+    return [gap_of(), *(gap_of(**each) for each in unsaid)]
+
+
+@pytest.mark.check
+def test_the_belief_is_that_of_brute_force_and_all_of_a_scan_counts() -> None:
+    gap, *others = np.sum([gaps(7), gaps(11)], axis=0)
+    assert gap < min(0.02, min(others) / 3.0)

@@ -1,15 +1,13 @@
-"""Explains scans in C (explain.c), used where it was compiled (`taxeld.native`).
-
-It computes the same as the numpy code of likelihood.py, without temporary arrays, and equals it but
-for rounding.
-"""
+"""Explains scans in C (explain.c), where it was compiled (`taxeld.native`): as likelihood.py does
+but for rounding, and without temporary arrays."""
 
 import ctypes
 import math
 from ctypes import c_double, c_int64, c_void_p
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taxeld import native
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses
@@ -20,6 +18,7 @@ from taxeld.model.observation import BAND_M, ObservationModel
 from taxeld.model.response import FARTHEST_RATES, LEAST_RATE
 
 FIELDS = 8  # of `scans.Field`, the first ones, that the C code reads
+SHARED = "far", "hidden", "robust", "clear", "steps", "enough", "most", "least_m2"
 LANES = 8  # lanes of the C code's vectors
 
 
@@ -28,8 +27,7 @@ class _Model(ctypes.Structure):
         *((name, c_void_p) for name in ("distance", "pressed", "about", "reach", "place")),
         *((name, c_void_p) for name in ("first", "height", "size")),
         *((name, c_int64) for name in ("nx", "ny", "heights", "runs", "taxels")),
-        *((name, c_double) for name in ("x", "y", "cell", "depth_max", "band", "hidden", "robust")),
-        *((name, c_double) for name in ("least_variance", "iterations")),
+        *((name, c_double) for name in ("x", "y", "cell", "depth_max", "band", *SHARED)),
         *((name, c_double) for name in ("outliers", "least", "farthest", "bowling1", "bowling3")),
         *((name, c_double) for name in ("least_rate", "farthest_rates")),
     ]
@@ -42,17 +40,9 @@ class _Scans(ctypes.Structure):
     ]
 
 
-class _Runs(NamedTuple):
-    """Runs of taxels at one place, in consecutive slices: C looks up a run by one vector."""
-
-    order: Index  # (M,) taxels, run by run
-    first: Index  # (R,) where in `order` each run begins
-    size: Index  # (R,) taxels in the run, at most `LANES`
-    place: Index  # (R,) column of the place
-    height: Index  # (R,) slice of the run's first taxel
-
-
-def _runs(model: ObservationModel) -> _Runs:
+def _runs(model: ObservationModel) -> tuple[Index, dict[str, NDArray[Any]]]:
+    """The taxels (M,) in runs of at most `LANES` at one place and in consecutive slices, each of
+    which C looks up by one vector; and where runs begin in them, sizes, places and first slices."""
     taxel = model.grid.taxel
     here = np.flatnonzero(taxel >= 0)
     order, place = taxel.ravel()[here], here // taxel.shape[1]
@@ -65,7 +55,8 @@ def _runs(model: ObservationModel) -> _Runs:
         if not in_run or at - first[-1] == LANES:
             first.append(at)
     begins = np.array(first)
-    return _Runs(order, begins, np.diff(begins, append=len(order)), place[begins], height[begins])
+    of_run = {"first": begins, "size": np.diff(begins, append=len(order)), "height": height[begins]}
+    return order, {"place": model.grid.place[:2, place[begins]], **of_run}
 
 
 class CompiledExplainer:
@@ -74,33 +65,29 @@ class CompiledExplainer:
     def __init__(self, library: ctypes.CDLL, model: ObservationModel, noise: Noise) -> None:
         self._explain = library.taxeld_explain
         scene, grid = model.scene, model.grid
-        runs, distance = _runs(model), np.moveaxis(scene.slices, 0, -1)
+        self._order, runs = _runs(model)
+        distance = np.moveaxis(scene.slices, 0, -1)
         tables = {
             "distance": np.append(distance, np.zeros(LANES, np.float32)),
-            "place": grid.place[:2, runs.place],
             **{name: getattr(grid, name) for name in ("pressed", "about", "reach")},
-            **{name: getattr(runs, name) for name in ("first", "height", "size")},
+            **runs,
         }
         held = {name: np.ascontiguousarray(table) for name, table in tables.items()}
         self._held = held  # arrays that the pointers below point into, kept alive
         heights, ny, nx = scene.slices.shape
-        self._order = runs.order
         self._model = _Model(
             **{name: table.ctypes.data for name, table in held.items()},
             nx=nx,
             ny=ny,
             heights=heights,
-            runs=len(runs.first),
+            runs=len(runs["first"]),
             taxels=len(model.layout),
             x=scene.origin[0],
             y=scene.origin[1],
             cell=scene.cell,
             depth_max=model.depth_max_m,
             band=BAND_M,
-            hidden=likelihood.HIDDEN,
-            robust=likelihood.ROBUST,
-            least_variance=likelihood.LEAST_M2,
-            iterations=likelihood.ITERATIONS,
+            **{name: getattr(likelihood, name.upper()) for name in SHARED},
             outliers=noise.outliers,
             least=noise.least,
             farthest=FARTHEST_SD,

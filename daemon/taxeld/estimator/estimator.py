@@ -19,6 +19,7 @@ from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import EstimatorCounters, Intake, News
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.scans import VERSION, Arrays, ScanList, Used, noise_of, scan_arrays
+from taxeld.model import se2
 from taxeld.model.contacts import Proposal
 from taxeld.model.observation import Activation, Lesson, Observation, ObservationModel
 from taxeld.prior import PosePrior
@@ -232,7 +233,7 @@ class Estimator:
             return True
         best = self.rule.place.modes[0].pose
         model, _ = self.known[self.bank.best].on(observation.link)
-        pressed = model.pressed_from(observation.sensor[None], best[None]).taxel
+        pressed, _ = model.pressed(se2.compose(se2.inverse(observation.sensor), best)[None])
         expected = self._contacts > 0 and len(pressed) > 0
         return expected and not bool(observation.live[pressed].any())
 

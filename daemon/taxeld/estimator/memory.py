@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from taxeld.arrays import Bools, Floats, Grid, Poses
 from taxeld.estimator.compiled import Explainer, explainer
 from taxeld.estimator.evidence import HAZARD, SWAPPED, Runs
-from taxeld.estimator.likelihood import Explain, pressed
+from taxeld.estimator.likelihood import Explain, NumpyExplainer
 from taxeld.estimator.priors import BeliefPrior, PriorTerm
 from taxeld.estimator.scans import Field, ScanEvidence, fields_of
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Lesson, Observation, ObservationModel
+from taxeld.model.response import LEAST_RATE, sagging
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,18 +233,21 @@ class Memory:
         likely poses (N, 3)."""
         model = self.skin.links[link]
         scans, n, taxels = np.flatnonzero(self.contact), len(poses), len(model.layout)
-        near = model.pressed_from(self.sensor[scans], poses, len(scans))
-        at = near.row // n * taxels + near.taxel
         fields = np.stack([self.scans[k].fields for k in scans.tolist()], axis=1)
-        told = fields.reshape(len(Field), -1).take(at, axis=1)
-        met = pressed(near, told, np.repeat(self.variance[scans], n))
+        contacts = self.sensor[scans], self.variance[scans], ~self.contact[scans]
+        touches = NumpyExplainer(model, self.skin.noise).touches(fields, *contacts, poses)
+        near, told = touches.near(np.arange(len(scans) * n), touches.top().offset)
+        at, depth = near.row // n * taxels + near.taxel, near.depth
+        rate = np.maximum(near.along * told[Field.SAG], LEAST_RATE)
+        found = np.minimum(sagging(depth, rate), 1.0)
 
         def mean(values: Grid) -> Floats:
             total = np.bincount(at, values, len(scans) * taxels)
             return np.asarray(total.reshape(len(scans), taxels) / n)
 
-        h, square = mean(met.h), mean(met.h * met.h)
+        h, square = mean(found), mean(found * found)
+        by_sag = mean(found * np.maximum(1.0 - depth / rate, 0.0))
         z, live = fields[Field.Z].astype(np.float64), fields[Field.ROOT] > 0.0
         floor = np.where(z > 0.0, 0.0, fields[Field.LEVEL])
         added = square - h * h + fields[Field.RESIDUE] ** 2
-        return Lesson(z, floor, h, mean(met.by_sag), added, live)
+        return Lesson(z, floor, h, by_sag, added, live)

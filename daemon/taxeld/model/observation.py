@@ -72,11 +72,10 @@ class Nearby(NamedTuple):
     row: Index  # row of the sensor and pose
     taxel: Index
     depth: Grid  # share of full scale; below 0 where the taxel is not reached
-    # slope of the depth over the sensor's x in the object's frame [1/m]; only for the first taxels,
-    # looked up about a press
-    gx: Grid
-    gy: Grid  # slope of the depth over the sensor's y, for the same taxels [1/m]
-    along: Grid  # slope of the depth around the link, for the same taxels [1/m]
+    # the slopes of the depth [1/m]; only of taxels that are looked up about a press
+    gx: Grid  # over the sensor's x in the object's frame
+    gy: Grid  # over the sensor's y
+    along: Grid  # around the link
 
 
 class GridTables(NamedTuple):
@@ -127,15 +126,8 @@ class ObservationModel:
     def pressed(self, poses: Floats) -> tuple[Index, Grid]:
         """The taxels pressed by the object at poses (N, 3) in the sensor frame: flat indices (P,)
         into (N, M), and their h > 0 (P,)."""
-        near = self._near(se2.inverse(poses), 0)
+        near = self.near(se2.inverse(poses))
         return near.row * len(self.layout) + near.taxel, np.minimum(near.depth, 1.0)
-
-    def pressed_from(self, sensors: Floats, poses: Floats, about: int = 0) -> Nearby:
-        """The taxels pressed at sensor poses (K, 3) by objects (N, 3), both in the world; rows
-        index (K · N). For the first `about` sensors also the taxels within BAND_M of being
-        pressed."""
-        seen = se2.compose(se2.inverse(poses), sensors[:, None])
-        return self._near(seen.reshape(-1, 3), about * len(poses))
 
     def activation(self, poses: Floats) -> Floats:
         """h: poses (N, 3) of the object in the sensor frame → (N, M) in 0..1."""
@@ -144,19 +136,21 @@ class ObservationModel:
         h.flat[at] = values
         return h
 
-    def _near(self, sensors: Poses, about: int) -> Nearby:
-        """`pressed_from` for sensors (N, 3) in the object's frame; for the first `about` also the
-        taxels near a press."""
-        (x, y), turn = ((sensors[:, :2] - self.scene.origin) / self.scene.cell).T, sensors[:, 2]
-        reached = np.flatnonzero(self.grid.reach.take(self._cell(x, y)))
+    def near(self, sensors: Poses, band_m: Floats | None = None) -> Nearby:
+        """The taxels that the object presses, with the sensor at poses (N, 3) in its frame; those
+        within `band_m` (N,), at least BAND_M, of being pressed, where it is given."""
+        reached = np.flatnonzero(self.reaches(sensors, 0.0 if band_m is None else band_m))
         size = max(BLOCK // len(self.grid.taxel), 1)
         blocks = [
-            self._look_up(rows, x.take(rows), y.take(rows), turn.take(rows), about)
-            for rows in (reached[at : at + size] for at in range(0, max(len(reached), 1), size))
+            self._look_up(reached[at : at + size], sensors, band_m)
+            for at in range(0, max(len(reached), 1), size)
         ]
-        if len(blocks) == 1:
-            return blocks[0]
         return Nearby(*(np.concatenate(part) for part in zip(*blocks, strict=True)))
+
+    def reaches(self, sensors: Poses, band_m: Floats | float) -> Bools:
+        """(N,) whether the link may come within BAND_M of the object, or within a larger band."""
+        x, y = ((sensors[:, :2] - self.scene.origin) / self.scene.cell).T
+        return np.asarray(self.grid.reach.take(self._cell(x, y)) | (band_m > BAND_M))
 
     def _cell(self, u: Reals, v: Reals) -> Index:
         """The grid's cells that hold points (u, v), in cells from the grid's origin; u and v are of
@@ -166,20 +160,19 @@ class ObservationModel:
         row = np.minimum(np.maximum(v, 0.0), ny - 1.001).astype(np.int32)
         return np.asarray(row * nx + column, dtype=np.intp)
 
-    def _look_up(self, rows: Index, x: Floats, y: Floats, turn: Floats, about: int) -> Nearby:
-        """`_near` for a block of `rows` (n,), whose sensors are at x, y, turn, each (n,)."""
+    def _look_up(self, rows: Index, sensors: Poses, band_m: Floats | None) -> Nearby:
+        """`near` for a block of `rows` (n,)."""
         scene, most = self.scene, self.grid.taxel.shape[1]
         ny, nx = scene.silhouette.shape
-        about = int(np.searchsorted(rows, about))
+        (x, y), turn = ((sensors[rows, :2] - scene.origin) / scene.cell).T, sensors[rows, 2]
         cos, sin = np.cos(turn) / scene.cell, np.sin(turn) / scene.cell
         u: Grid = np.array([cos, -sin, x], np.float32).T @ self.grid.place
         v: Grid = np.array([sin, cos, y], np.float32).T @ self.grid.place
         cell = self._cell(u, v)
-        near = self.grid.pressed.take(cell)
-        near[:about] |= self.grid.about.take(cell[:about])
-        at = np.flatnonzero(near)
+        band = np.zeros(1) if band_m is None else band_m[rows]
+        near = (self.grid.pressed if band_m is None else self.grid.about).take(cell)
+        at = np.flatnonzero(near | (band > BAND_M)[:, None])
         row, place = np.divmod(at, len(self.grid.taxel))
-        about = int(np.searchsorted(row, about))
         u = np.minimum(np.maximum(u.take(at), 0.0), nx - 1.001)[:, None]
         v = np.minimum(np.maximum(v.take(at), 0.0), ny - 1.001)[:, None]
         ux, uy = u - x.take(row)[:, None], v - y.take(row)[:, None]  # the taxel from the axis
@@ -194,24 +187,19 @@ class ObservationModel:
         d10 -= d00  # difference along y
         d00 += d10 * v  # the distance itself
         taxel = self.grid.taxel.take(place, axis=0)
-        counts = taxel >= 0
-        counts[:about] &= d00[:about] < BAND_M
-        counts[about:] &= d00[about:] < 0.0
-        kept = np.flatnonzero(counts)
-        row, taxel = rows.take(row.take(kept // most)), taxel.take(kept)
-        depth = d00.take(kept) * (-1.0 / self.depth_max_m)
-        if not about:
-            return Nearby(row, taxel, depth, NONE, NONE, NONE)
-        kept = kept[: np.searchsorted(kept, about * most)]
-        d01, d11 = d01[:about], d11[:about]
+        kept = np.flatnonzero((taxel >= 0) & (d00 < band.take(row, mode="clip")[:, None]))
+        taxel, place = taxel.take(kept), kept // most
+        rows, depth = rows.take(row.take(place)), d00.take(kept) * (-1.0 / self.depth_max_m)
+        if band_m is None:
+            return Nearby(rows, taxel, depth, NONE, NONE, NONE)
         d11 -= d01
-        d11 *= v[:about]
+        d11 *= v
         d01 += d11
         rate = -1.0 / (scene.cell * self.depth_max_m)
         gx, gy = d01.take(kept) * rate, d10.take(kept) * rate
-        ux, uy = (side.take(kept // most).astype(np.float32) for side in (ux, uy))
+        ux, uy = (side.take(place).astype(np.float32) for side in (ux, uy))
         along = np.abs(gy * ux - gx * uy) / np.sqrt(ux * ux + uy * uy)
-        return Nearby(row, taxel, depth, gx, gy, along)
+        return Nearby(rows, taxel, depth, gx, gy, along)
 
 
 def _touched(silhouette: Grid, band_m: float) -> Bools:

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
-from taxeld.estimator.likelihood import HIDDEN, Readings
+from taxeld.estimator.likelihood import HIDDEN, Touches
+from taxeld.estimator.scans import Field, fields_of
 from taxeld.model import se2
 from taxeld.model.noise import Noise, normal_cdf
 from taxeld.model.observation import BAND_M, Observation, ObservationModel
-from taxeld.model.response import LEAST_RATE
 from taxeld_training.limits.grid_cells import Cells
 
 BLOCK = 1024  # cells weighed at once: their taxels stay in the cache
@@ -44,9 +44,9 @@ class Pairs(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """Depths in a block of cells after a scan's own offset, and what that costs."""
+    """A scan's own offset in n cells, and what that costs."""
 
-    depth: Floats  # (P,) over δ_max
+    place: Poses  # (n, 3) of the cells' midpoints with it
     mean: Floats  # (n,) gain of a cell's log-likelihood by the integral over the offset
     best: Floats  # (n,) upper bound of that gain for the cell's best pose
     precision: float  # 1 / variance [1/m²]; inf: no offset
@@ -89,7 +89,7 @@ class CellLikelihood:
             cells.log_likelihood_max += total
             near = self._near(cells, sensor[:2], taxel, _band_m(each))
             for begin in range(0, len(near), BLOCK):
-                self._add_block(cells, near[begin : begin + BLOCK], each, taxel, silent)
+                self._add_block(cells, near[begin : begin + BLOCK], each, sensor, silent)
 
     def _near(self, cells: Cells, sensor: Floats, taxel: Floats, band_m: float) -> NDArray[np.intp]:
         """Indices of the cells in which some pose may press a taxel, or come within the band of
@@ -104,13 +104,20 @@ class CellLikelihood:
         return np.flatnonzero(apart < band_m)
 
     def _add_block(
-        self, cells: Cells, block: NDArray[np.intp], each: Evidence, taxel: Floats, silent: Floats
+        self, cells: Cells, block: NDArray[np.intp], each: Evidence, sensor: Poses, silent: Floats
     ) -> None:
-        """Add the likelihood of one scan to some of the cells, for taxels at (M, 2) whose
-        log-likelihood is `silent` (M,) where nothing presses them."""
-        scan = each.scan
-        mid, edge = cells.mid[block], cells.edge[block]
+        """Add the likelihood of one scan to some of the cells, for a sensor (3,) whose taxels have
+        the log-likelihood `silent` (M,) where nothing presses them."""
+        scan, edge = each.scan, cells.edge[block]
+        taxel, mid = se2.apply(sensor, self._model.layout.position_m[:, :2]), cells.mid[block]
+        reach_m = _reach_m(edge, float(np.hypot(*taxel.T).max()))
         pairs = self._pairs(mid, edge, taxel, scan.live, _band_m(each))
+        offset = self._offset(mid, pairs, each, sensor, reach_m)
+        if offset.place is not mid:
+            pairs = self._pairs(offset.place, edge, taxel, scan.live, _band_m(each))
+        elif not each.touched:  # an offset may hide presses that are less deep
+            hidden_m = HIDDEN * np.sqrt(each.variance_m2)
+            pairs = pairs._replace(depth=pairs.depth - hidden_m / self._model.depth_max_m)
         z, unpressed = scan.z[pairs.taxel], silent[pairs.taxel]
         floor = np.broadcast_to(scan.floor, len(scan.z))[pairs.taxel]
         residue = np.broadcast_to(scan.residue, len(scan.z))[pairs.taxel]
@@ -119,9 +126,6 @@ class CellLikelihood:
             """(B,) sums of the pairs' values (P,) over each of the block's B cells."""
             return np.asarray(np.bincount(pairs.cell, values, len(mid)), dtype=np.float64)
 
-        reach_m = _reach_m(edge, float(np.hypot(*taxel.T).max()))
-        offset = self._offset(pairs, z, floor, residue, each, reach_m)
-        pairs = pairs._replace(depth=offset.depth)
         best = of_cells(self._best(pairs, z, floor, residue) - unpressed) + offset.best
         cells.log_likelihood_max[block] += each.share * best
         mean, known = self._mean(pairs, z, floor, residue)
@@ -130,42 +134,25 @@ class CellLikelihood:
         cells.information[block] += each.share * _information(pairs, known, offset, of_cells)
 
     def _offset(
-        self,
-        pairs: Pairs,
-        z: Floats,
-        floor: Floats,
-        residue: Floats,
-        each: Evidence,
-        reach_m: Floats,
+        self, mid: Poses, pairs: Pairs, each: Evidence, sensor: Poses, reach_m: Floats
     ) -> Offset:
-        """The scan's own offset, of cells whose poses are at most reach_m (n,) from the middle."""
-        none, variance = np.zeros(len(reach_m)), each.variance_m2
-        if not variance:
-            return Offset(pairs.depth, none, none, np.inf)
-        if not each.touched:  # an offset may hide presses that are less deep
-            hidden = HIDDEN * np.sqrt(variance) / self._model.depth_max_m
-            return Offset(pairs.depth - hidden, none, none, np.inf)
+        """The scan's own offset, of cells (n, 3) whose poses are at most reach_m (n,) from the
+        middle. How far depths range within a cell counts as noise."""
+        none, variance = np.zeros(len(mid)), each.variance_m2
+        if not variance or not each.touched:
+            return Offset(mid, none, none, np.inf)
+        seen = se2.compose(mid * [1.0, 1.0, -1.0], sensor)
+        fields = fields_of(each.scan.z, each.scan, self._noise)[:, None].repeat(len(mid), axis=1)
         extent = ((pairs.rise - pairs.fall) ** 2).sum(axis=0) / 12.0
-        readings = Readings(
-            pairs.cell,
-            *(
-                values.astype(np.float32)
-                for values in (
-                    z,
-                    np.where(z > 0.0, z, floor),
-                    pairs.depth,
-                    *pairs.slope,
-                    1.0 / np.sqrt(self._noise.variance(z) + residue**2 + extent),
-                    np.full(len(z), LEAST_RATE),  # the grid's skin does not sag
-                )
-            ),
-        )
-        depth, added, off_m = readings.offset(np.full(len(reach_m), variance))
+        fields[Field.SIGMA2, pairs.cell, pairs.taxel] += extent
+        touches = Touches(self._model, self._noise, fields, seen, none + variance, none > 0.0)
+        top = touches.top()
+        off2 = (top.offset * top.offset).sum(axis=1)
+        added = touches.log_p() - top.log_p - 0.5 * off2 / variance
         # The best pose of a cell needs a smaller offset, by its distance from the middle.
-        less = off_m**2 - np.maximum(off_m - reach_m, 0.0) ** 2
-        return Offset(
-            np.asarray(depth, dtype=np.float64), added, added + 0.5 * less / variance, 1 / variance
-        )
+        less = off2 - np.maximum(np.sqrt(off2) - reach_m, 0.0) ** 2
+        place = mid + np.column_stack([top.offset, none])
+        return Offset(place, added, added + 0.5 * less / variance, 1.0 / variance)
 
     def _best(self, pairs: Pairs, z: Floats, floor: Floats, residue: Floats) -> Floats:
         """Log density (P,) of readings z (P,) at the nearest depth within the cell."""
