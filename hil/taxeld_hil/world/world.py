@@ -150,12 +150,11 @@ class World:
 
     def _give_way(self, sensor: Poses) -> None:
         """The sensor has come to a pose (3,) while it pushes."""
-        model, before = self.links[0], self._before
+        before, stood = self._before, self._pushed
         if before is not None:
-            self._pushed = gave_way(model, self._ground, self._pushed, before, sensor)
-        seen = se2.compose(se2.inverse(sensor), self._pushed)[None]
-        if before is not None and model.activation(seen).any():
-            self.pushed_m += float(np.linalg.norm(sensor[:2] - before[:2]))
+            self._pushed = gave_way(self.links[0], self._ground, stood, before, sensor)
+            if (self._pushed != stood).any():
+                self.pushed_m += float(np.linalg.norm(sensor[:2] - before[:2]))
         self._before = sensor
 
     def _put(self, t: float, place: Poses) -> None:
