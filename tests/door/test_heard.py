@@ -9,7 +9,9 @@ from typing import Any
 
 import msgpack
 import pytest
+import zmq
 
+from taxeld.door import heard
 from taxeld.door.heard import REASON_MAX, as_pose
 
 from ..rig.processes import attacked
@@ -181,3 +183,17 @@ def test_the_loop_hears_why_a_message_is_no_pose_in_one_printable_line(robot: Ro
     assert robot.line.reason.startswith("key t lacks; the map has \\x1b]0;x\\n")
     assert robot.line.reason.isprintable()
     assert len(robot.line.reason) <= REASON_MAX
+
+
+def test_a_robot_that_stays_away_stops_nothing_else(tmp_path: Path) -> None:
+    with zmq.Context() as context:
+        robot = heard.Robot(context, "tcp://127.0.0.1:9", lambda *_: None, None)
+        for k in range(1500):
+            robot.look(time.monotonic() + 2.0 * heard.AGAIN_S)
+            time.sleep((0.0002, 0.0005, 0.001)[k % 3])
+        served, client = context.socket(zmq.XPUB), context.socket(zmq.SUB)
+        served.bind(f"ipc://{tmp_path / 'served'}")
+        client.subscribe(b"")
+        client.connect(f"ipc://{tmp_path / 'served'}")
+        assert served.poll(10_000)
+        context.destroy(linger=0)

@@ -85,6 +85,7 @@ class Heard:
         elif now_s > self._lost_s + AGAIN_S:
             # after an error of the protocol ZeroMQ does not connect again by itself
             line.refused |= self._is_half_open
+            self.socket.disable_monitor()  # an event without a reader holds ZeroMQ up for ever
             self.socket.close()
             self._monitor.close()
             self._open()

@@ -132,7 +132,6 @@ class Mixture:
         # silence that the belief expected changes no verdict, and before a touch there is none
         is_felt = bool(self.memory.contact.any()) or self.memory.prior is not None
         if len(samples) or (is_felt and abs(evidence) > 1.0 - SURE):
-            # a touch is a search of its own where nothing else is remembered to search by
             self._judge(has_looked=len(samples) > 0 and not self._has_more)
         return len(samples), evidence
 
