@@ -144,7 +144,7 @@ class Bank:
             self._touches += 1
             self._best_before[[k for k in waiting if k not in self.due]] = before
             self.due = waiting
-        if injected or evidence:
+        if is_new or injected or evidence:  # else nothing was told
             self._weigh()
         # whether no likely object explains the contacts
         if is_new and self._touches > 1 and self.odds.hypotheses.stands < 0.5:

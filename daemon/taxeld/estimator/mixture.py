@@ -250,8 +250,8 @@ class Mixture:
         return round(config.injected * max(size / config.particles, 1.0))
 
     def _judge(self, *, has_looked: bool) -> None:
-        """Weigh the hypotheses, and find how sure the belief is; `has_looked`: elsewhere as
-        well."""
+        """Weigh the hypotheses, and find how sure the belief is. `has_looked`: whether samples of
+        another contact were merged."""
         self.weighed = UNTOUCHED
         if len(self.memory):
             self.weighed = self._evidence.weighed(self.belief, self.memory.runs)

@@ -4,8 +4,8 @@ Particles are a structure of arrays with log-weights; each step is a function of
 
 A sample of p(q | contact) takes no other scan into account. The paper still gives it the mean
 weight, so a right belief can lose to samples that explain only the present contact (`paper`). Here
-the samples are first weighed by all that is remembered, which makes them an opinion of their own of
-the whole posterior; it is merged with the belief by its evidence.
+the samples are first weighed by all that is remembered. They are then a belief of their own, an
+opinion, which is merged with the belief by its evidence.
 """
 
 from collections.abc import Callable
