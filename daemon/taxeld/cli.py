@@ -3,9 +3,7 @@
 import argparse
 import json
 import math
-import signal
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,20 +29,20 @@ def _run(args: argparse.Namespace) -> int:
     """
     # the other commands need neither zmq nor a device
     from taxeld.commands.record import recorder_of
-    from taxeld.service import log, signals
+    from taxeld.service import log
     from taxeld.service.loop import Daemon
 
-    with log.written(), signals.Signals() as received:
+    with log.written():
         config = load(args.config)
         log.set_level(config.log.level)
         recorder = recorder_of(config, args.config, args.record) if args.record else None
         daemon = Daemon(config, recorder)
-        received.stop_by(daemon.stop)
-        actions: dict[int, Callable[[], None]] = {
-            signal.SIGHUP: lambda: signals.reload(args.config, config),
-            signal.SIGUSR1: lambda: signals.dump(daemon.publisher.state()),
-        }
-        daemon.run(lambda: received.serve(actions))
+        stopped = command_line.stopping()
+
+        def between() -> None:
+            daemon.stopping = stopped()
+
+        daemon.run(between)
     return 0
 
 
@@ -56,13 +54,12 @@ def _record(args: argparse.Namespace) -> int:
     from taxeld.commands.record import Recording
 
     recording = Recording(load(args.config), args.config, args.out)
+    stopped = command_line.stopping()
 
-    def stop(*_: object) -> None:
-        recording.stopping = True
+    def between(*_: object) -> None:
+        recording.stopping = stopped()
 
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
-    print(recording.run())
+    print(recording.run(between))
     return FAILED if recording.failed else 0
 
 

@@ -62,7 +62,7 @@ def _usable(made: argparse.ArgumentParser) -> argparse.ArgumentParser:
 def stopping() -> Callable[[], bool]:
     """From now on, whether a signal asked for the end."""
     stopped: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT):
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, lambda got, _: stopped.append(got))
     return lambda: bool(stopped)
 

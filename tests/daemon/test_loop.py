@@ -267,7 +267,7 @@ def test_a_robots_mistake_is_named_in_the_answer_to_status(tmp_path: Path) -> No
         fault = "messages come and are no poses: theta is beyond 1.5 turns: send"
         until(lambda: daemon.publisher.state()["sensor_pose"]["fault"].startswith(fault), goes_on)
         assert daemon.pipeline.poses.latest_t == 1.0
-        assert daemon.publisher.state()["health"]["inputs"]["poses_malformed"] > 0
+        assert daemon.health(time.monotonic(), 1.0)["inputs"]["poses_malformed"] > 0
 
 
 def test_taxels_say_where_the_sensor_was_or_that_nobody_knows() -> None:
@@ -357,7 +357,7 @@ def test_a_scan_is_estimated_when_it_comes_however_slow_the_ticks_are(
         try:
             until(lambda: len(heard) >= 60, listen)
         finally:
-            daemon.stop()
+            daemon.stopping = True
             runs.join(PATIENCE_S)
     assert not runs.is_alive()
     # on a busy machine two scans are read at once, or one is late and an estimate comes without it

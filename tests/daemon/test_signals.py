@@ -1,7 +1,6 @@
 """What an operator and a service manager tell a daemon, and what it tells them."""
 
 import contextlib
-import json
 import os
 import signal
 import socket
@@ -13,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from taxeld.service.notify import Notifier
-from tests.rig.clocks import Clock, until
-from tests.rig.configurations import QUIET, configuration
+from tests.rig.clocks import Clock
+from tests.rig.configurations import configuration
 from tests.rig.logged import warnings
 from tests.rig.processes import taxeld
 
@@ -27,7 +26,7 @@ class Running:
     def __init__(self, place: Path, *, stderr: int | None = None, redirect: str = "") -> None:
         """`stderr`: in place of a file; `redirect`: as a shell is told to."""
         self._place = place
-        self.config = self.configured(log={"level": "info"})
+        config = configuration(place)
         self._log = (place / "log").open("w+", encoding="utf-8")
         self.manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.manager.bind(str(place / "notify"))
@@ -38,13 +37,12 @@ class Running:
                 "-c",
                 f'exec "$0" -m taxeld.cli run "$1" {redirect}',
                 sys.executable,
-                str(self.config),
+                str(config),
             ],
             stderr=self._log if stderr is None else stderr,
             env={**os.environ, **environ(self.manager, WATCHDOG_USEC="200000")},
         )
         assert self.manager.recv(4096) == b"READY=1"
-        self.send = self.process.send_signal
 
     def goes_on(self) -> None:
         """Wait until the loop has told ten times that it lives."""
@@ -52,20 +50,12 @@ class Running:
             while b"WATCHDOG=1" not in self.manager.recv(4096):
                 pass
 
-    def configured(self, **tables: dict[str, object]) -> Path:
-        return configuration(self._place, source=QUIET, **tables)
-
     def log(self) -> list[str]:
         return warnings((self._place / "log").read_text(encoding="utf-8"))
 
-    def wait_for(self, text: str) -> str:
-        """The line with this text."""
-        line: str = until(lambda: next((line for line in self.log() if text in line), ""))
-        return line
-
     def ends_by(self, number: int) -> int:
         """The exit status after a signal."""
-        self.send(number)
+        self.process.send_signal(number)
         return self.process.wait(DEADLINE_S)
 
     def close(self) -> None:
@@ -82,27 +72,9 @@ def daemon(tmp_path: Path) -> Iterator[Running]:
     made.close()
 
 
-USR = (signal.SIGUSR1, signal.SIGUSR2)
-SURVIVED = (*USR * 100, signal.SIGALRM, signal.SIGHUP, signal.SIGPIPE)
-
-
-@pytest.mark.check
-@pytest.mark.parametrize("at_once", [False, True])
-def test_no_signal_of_an_operator_ends_a_daemon_but_those_that_should(
-    daemon: Running, at_once: bool
-) -> None:
-    for number in (signal.SIGSTOP,) * at_once + SURVIVED + (signal.SIGCONT,):
-        daemon.send(number)
-    estimate, health = daemon.wait_for("estimate: "), daemon.wait_for("health: ")
-    assert any("service/loop.py" in line or "service/clock.py" in line for line in daemon.log())
-    assert json.loads(health.removeprefix("health: "))["uptime_s"] > 0.0
-    assert "map" in json.loads(estimate.removeprefix("estimate: "))
-    assert daemon.ends_by(signal.SIGTERM) == 0
-
-
 @pytest.mark.check
 @pytest.mark.smoke
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT, signal.SIGHUP])
 def test_a_daemon_says_how_it_is_and_ends_in_order(daemon: Running, number: int) -> None:
     said = [daemon.manager.recv(4096).decode() for _ in range(3)]
     status = "STATUS=starting, not valid, contacts 0, overruns 0"
@@ -136,7 +108,6 @@ def test_standard_error_that_nobody_reads_stops_neither_the_loop_nor_its_end(
     tmp_path: Path, full_pipe: int, number: int, status: int
 ) -> None:
     with contextlib.closing(Running(tmp_path, stderr=full_pipe)) as daemon:
-        daemon.send(signal.SIGUSR1)
         daemon.goes_on()
         assert daemon.ends_by(number) == status
 
@@ -145,7 +116,6 @@ def test_standard_error_that_nobody_reads_stops_neither_the_loop_nor_its_end(
 @pytest.mark.parametrize("redirect", ["2>&-", "<&- >&- 2>&-"], ids=["stderr", "all"])
 def test_a_standard_stream_that_is_closed_leads_nowhere(tmp_path: Path, redirect: str) -> None:
     with contextlib.closing(Running(tmp_path, redirect=redirect)) as daemon:
-        daemon.send(signal.SIGUSR1)
         daemon.goes_on()
         open_files = Path(f"/proc/{daemon.process.pid}/fd")
         closed = (0, 1, 2) if "<" in redirect else (2,)
@@ -158,29 +128,6 @@ def test_a_standard_stream_that_is_closed_leads_nowhere(tmp_path: Path, redirect
 def test_a_loop_that_does_not_pause_says_where_it_is_and_ends(daemon: Running, number: int) -> None:
     assert daemon.ends_by(number) == -number
     assert any("service/clock.py" in line or "service/loop.py" in line for line in daemon.log())
-
-
-@pytest.mark.check
-@pytest.mark.parametrize(
-    ("tables", "begin", "end"),
-    [
-        (
-            {"log": {"level": "debug"}, "filter": {"seed": 7}},
-            "config.toml: read again, log.level is debug; ",
-            "a restart is needed for what changed in filter",
-        ),
-        ({"log": {"level": "loud"}}, "log.level: must be one of", "; going on as before"),
-    ],
-    ids=["new", "with a fault"],
-)
-def test_hup_takes_the_log_level_of_a_configuration_without_faults(
-    daemon: Running, tables: dict[str, dict[str, object]], begin: str, end: str
-) -> None:
-    daemon.configured(**tables)
-    daemon.send(signal.SIGHUP)
-    line = daemon.wait_for("log.level")
-    assert line.removeprefix(f"{daemon.config.parent}/").startswith(begin)
-    assert line.endswith(end)
 
 
 @pytest.fixture

@@ -55,16 +55,6 @@ def an_error_frame_of_the_kernels_is_said_with_its_cure_and_that_it_has_passed()
 
 
 @check
-def a_reload_and_a_dump_are_said_in_the_log() -> None:
-    pid = VCAN0.pid
-    sh(f"systemctl reload {VCAN0.name}")
-    until("the reload", lambda: "vcan0.toml: read again, log.level is info" in VCAN0.said())
-    os.kill(pid, signal.SIGUSR1)
-    until("the dump", lambda: re.search(r"^health: \{", VCAN0.said(), re.MULTILINE) is not None)
-    assert VCAN0.pid == pid
-
-
-@check
 def estimates_arrive_through_socketcan_and_converge() -> str:
     with Touch(1, *ON_VCAN0) as skin:
         found = skin.wait_found()

@@ -87,7 +87,7 @@ GONE: dict[str, str] = {
     "taxeld init --keys": "set curve.directory in the file that it writes",
     "taxeld init --where": "set filter.centre_m and half_width_m in the file that it writes",
     "taxeld layout --png": "'taxeld view' shows the skin of a daemon or of a session",
-    "--log-level": "set log.level in CONFIG; a running daemon reads it again on SIGHUP",
+    "--log-level": "set log.level in CONFIG",
     "--running": "what a running daemon has in use is no fault, if it answers",
     "--interface": "keep one interface's lines, as by grep ' can0 ' LOG",
     "--dask": "say --workers ADDRESS",

@@ -214,9 +214,7 @@ class CurveConfig:
 
 @dataclass(frozen=True, slots=True)
 class LogConfig:
-    level: str = key(
-        "info", one_of(*LEVELS), "what is logged on standard error; read again at SIGHUP"
-    )
+    level: str = key("info", one_of(*LEVELS), "what is logged on standard error")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,18 +2,26 @@
 
 A reader of standard error that hangs costs lines, but neither a pass of the loop nor the end of the
 process. The journal is told how grave each line is; other readers get the time of each.
+
+A loop that hangs is ended by XCPU (`LimitRTTIME=`) or ABRT (a watchdog), and says where it is.
+`faulthandler` would give its handlers a small stack, which a few signals at once overflow.
 """
 
 import contextlib
 import logging
 import os
+import select
+import signal
 import threading
+import traceback
 from collections.abc import Iterator, Mapping
 from queue import SimpleQueue
+from types import FrameType
 
 STDERR = 2  # by its number: the object holds a lock while it writes, also at the process' end
 MOST = 1000  # lines that wait to be written; more are dropped
 CLOSE_S = 2.0  # that the last lines may take
+END_S = 1.0  # that standard error may take for the place where the process is
 JOURNAL = {"DEBUG": "<7>", "INFO": "<6>", "WARNING": "<4>", "ERROR": "<3>"}  # sd-daemon(3)
 
 _ROOT = logging.getLogger("taxeld")
@@ -42,6 +50,8 @@ class _Hand(logging.Handler):
 @contextlib.contextmanager
 def written() -> Iterator[None]:
     """Meanwhile, what is logged is written; its level is as before afterwards."""
+    for number in (signal.SIGXCPU, signal.SIGABRT):
+        signal.signal(number, _end)
     level = _ROOT.level
     lines: SimpleQueue[str] = SimpleQueue()
     hand = _Hand(lines)
@@ -79,3 +89,13 @@ def _write(lines: SimpleQueue[str]) -> None:
         with contextlib.suppress(OSError):  # the reader has gone, or the disk is full
             while rest:
                 rest = rest[os.write(STDERR, rest) :]
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    """Say where the process is, if standard error takes it, and have it end by the signal."""
+    text = "".join(traceback.format_stack(frame)).encode()[-select.PIPE_BUF :]
+    with contextlib.suppress(OSError):
+        if select.select([], [STDERR], [], END_S)[1]:
+            os.write(STDERR, text)
+    signal.signal(number, signal.SIG_DFL)
+    signal.raise_signal(number)

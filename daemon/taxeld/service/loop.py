@@ -83,12 +83,8 @@ class Daemon:
         named = dict(zip(self.config.names, self.layouts, strict=True)) if several_links else {}
         return messages.info(self.layouts[0], self._objects, digest(self.config), named)
 
-    def stop(self) -> None:
-        """End `run` after this pass."""
-        self.stopping = True
-
     def run(self, between: Callable[[], None] = lambda: None) -> None:
-        """Run until `stop`; `between` is called between two passes."""
+        """Run until `stopping`; `between` is called between two passes."""
         notifier, pipeline = Notifier(), self.pipeline
         try:
             realtime.trim()

@@ -54,8 +54,6 @@ class Publisher:
         self._next_particles_s = self._next_estimate_s = self._next_health_s = 0.0
         self._published: Estimate | None = None  # the last
         self._why = Why.STARTING  # why that one is not valid
-        self._estimate_sent: dict[str, Any] = {}
-        self._health_sent: dict[str, Any] = {}
 
     def ready(self) -> None:
         """Log that all is open and warm."""
@@ -108,10 +106,9 @@ class Publisher:
     def health(self, health: dict[str, Any], now_s: float) -> None:
         """Publish the message of a second, and log what has changed."""
         self._next_health_s = now_s + HEALTH_S
-        self._health_sent = health
         self._link.send(topics.HEALTH, health, health["t"])
         self._notices.inputs(self._inputs.watch.fault, now_s)
-        self._link.tell(self._state())
+        self._link.tell(self.state())
 
     def status_line(self, now_s: float) -> str:
         """For the service manager."""
@@ -123,10 +120,6 @@ class Publisher:
         return f"{line}, contacts {estimate.contacts}, overruns {self._counters.overruns}"
 
     def state(self) -> dict[str, Any]:
-        """The estimate and health published last, and the rest of the answer to `status`."""
-        return {"estimate": self._estimate_sent, "health": self._health_sent, **self._state()}
-
-    def _state(self) -> dict[str, Any]:
         """The part of the answer to `status` that no message has."""
         sensor_pose = {
             "endpoint": self._config.sensor_pose.endpoint,
@@ -155,9 +148,9 @@ class Publisher:
         self._next_estimate_s = now_s + self.estimate_s
         before, self._why = self._why, freshness.why(estimate, now_s)
         if self._why is not before:
-            self._link.tell(self._state())
+            self._link.tell(self.state())
         self._notices.estimate(estimate, self._why, self._reason(), now_s)
-        self._estimate_sent = messages.estimate(
+        told = messages.estimate(
             estimate,
             names=self._names,
             seq=self.seq,
@@ -169,7 +162,7 @@ class Publisher:
             lat_us=lat_us,
             links=freshness.of_links(now_s),
         )
-        self._link.send(topics.ESTIMATE, self._estimate_sent, estimate.t)
+        self._link.send(topics.ESTIMATE, told, estimate.t)
 
     def _send_activation(
         self, activation: Activation, sensor: Poses | None, now_s: float, number: int
