@@ -1,7 +1,6 @@
 """The robot's poses through the door: whole, whatever else is published beside them."""
 
 import math
-import statistics
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -76,23 +75,6 @@ def test_a_door_is_not_woken_by_each_pose(robot: Robot) -> None:
     robot.stand.until(lambda: robot.stand.poses[-1][1] == count)
     assert len(robot.stand.poses) >= count
     assert sleeps() - before < count / 4
-
-
-@pytest.mark.check
-def test_the_next_pose_comes_at_once_where_the_loop_awaits_it(robot: Robot) -> None:
-    """Compared with poses that nobody has asked for, which come in bunches."""
-    took_s: dict[bool, list[float]] = {False: [], True: []}
-    for number in range(1, 41):
-        is_asked = bool(number % 2)
-        robot.stand.link.ask_poses(also_next=is_asked)
-        time.sleep(0.02)  # so that the door has heard it before the pose comes
-        begin_s = time.monotonic()
-        robot.socket.send_multipart(pose(float(number)))
-        while robot.stand.poses[-1][1] != number:
-            robot.stand.keeper.look(time.monotonic())
-            time.sleep(0.0005)
-        took_s[is_asked].append(time.monotonic() - begin_s)
-    assert statistics.median(took_s[True]) < statistics.median(took_s[False]) / 2
 
 
 @pytest.mark.check

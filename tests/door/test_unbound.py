@@ -1,20 +1,12 @@
 """A TCP address that cannot be bound now: the door serves the rest, says so, and tries again."""
 
-import os
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 import zmq
 
-from taxeld.commands.status import lines
-from taxeld.stream import client
-
-from ..rig.clocks import until
-from ..rig.commands import printed, refused
-from ..rig.configurations import QUIET, configuration
-from ..rig.processes import free_port, taxeld
+from ..rig.processes import free_port
 from ..rig.sockets import Sockets
 from .stand import INFO, Stand
 
@@ -56,27 +48,3 @@ def test_where_an_address_cannot_be_had_the_rest_is_served_and_the_address_once_
         (line,) = (line for line in caplog.messages if endpoint in line)
         assert line.startswith(f"door: relay.publish: cannot bind {endpoint} (")
         assert line.endswith(f"; {HERE}; {AGAIN}")
-
-
-def test_check_refuses_a_port_that_is_taken_and_a_daemon_runs_whose_health_says_so(
-    tmp_path: Path,
-) -> None:
-    endpoint = f"tcp://127.0.0.1:{free_port()}"
-    path = configuration(tmp_path, source=QUIET, relay={"publish": [endpoint]})
-    environment = {k: v for k, v in os.environ.items() if k != "NOTIFY_SOCKET"}
-
-    def is_told() -> bool:
-        assert daemon.poll() is None, daemon.communicate()[1]
-        answer = client.ask(f"ipc://{tmp_path}/control", "status") or {}
-        return bool(answer.get("health")) and "door.unbound 1: the log" in "".join(lines(answer))
-
-    with Sockets() as sockets:
-        taken(sockets, endpoint)
-        told = refused("check", path)
-        assert told.startswith(f"relay.publish: cannot bind {endpoint} (Address already in use); ")
-        with taxeld("run", path, stderr=subprocess.PIPE, env=environment) as daemon:
-            until(is_told)
-            daemon.terminate()
-            daemon.communicate()
-        assert daemon.returncode == 0
-    printed("check", path)

@@ -59,29 +59,20 @@ def target(request: pytest.FixtureRequest) -> tuple[str, str]:
     return compiler, emulator
 
 
-def test_the_vectors_and_damage_pass_on_other_processors(
+def test_vectors_damage_and_conversations_are_the_same_on_other_processors(
     target: tuple[str, str], tmp_path: Path
 ) -> None:
     compiler, emulator = target
-    text = text_of_vectors()
-    (tmp_path / "vectors.txt").write_text(text, encoding="utf-8")
-    run(compiler, *STRICT, "-O2", "-static", C / "vectors_main.c", "-o", tmp_path / "vectors_main")
-    printed = run(
-        emulator, tmp_path / "vectors_main", tmp_path / "vectors.txt", str(ROUNDS_OF_DAMAGE)
-    )
-    assert printed == f"{text.count(chr(10))} vectors\n"
-
-
-def test_the_conversations_are_held_on_other_processors(
-    target: tuple[str, str], tmp_path: Path
-) -> None:
-    compiler, emulator = target
-    run(compiler, *STRICT, "-O2", "-static", C / "hub_main.c", "-o", tmp_path / "hub_main")
-    for name in NAMES:
-        text = text_of(load(name))
-        (tmp_path / name).write_text(text, encoding="ascii")
-        printed = run(emulator, tmp_path / "hub_main", tmp_path / name)
-        assert printed == f"{text.count(chr(10))} lines\n"
+    texts = {name: text_of(load(name)) for name in NAMES}
+    for program, scripts, more, unit in (
+        ("vectors_main", {"vectors": text_of_vectors()}, [str(ROUNDS_OF_DAMAGE)], "vectors"),
+        ("hub_main", texts, [], "lines"),
+    ):
+        run(compiler, *STRICT, "-O2", "-static", C / f"{program}.c", "-o", tmp_path / program)
+        for name, text in scripts.items():
+            (tmp_path / name).write_text(text, encoding="utf-8")
+            printed = run(emulator, tmp_path / program, tmp_path / name, *more)
+            assert printed == f"{text.count(chr(10))} {unit}\n"
 
 
 @pytest.mark.parametrize("level", ["-O0", "-Os", "-O3"])
@@ -149,23 +140,3 @@ def test_the_manifests_have_the_version_and_files_that_are_there() -> None:
     [example] = library["examples"]
     files = {library["headers"], *example["files"], *library["export"]["include"]}
     assert all((C / file).is_file() for file in files)
-
-
-def test_the_page_tells_what_the_header_takes_of_a_small_core(tmp_path: Path) -> None:
-    """In flash within a tenth, as compilers differ; in RAM exactly."""
-    compiler, sizes = "arm-none-eabi-gcc", "arm-none-eabi-nm"
-    needed(compiler, sizes)
-    (tmp_path / "string.h").write_text(STRING_H, encoding="ascii")
-    (tmp_path / "ram.c").write_text(
-        f'#include "{C / "test_driver.c"}"\nchar ram[sizeof(taxeld_reassembler)];', "ascii"
-    )
-    options = ["-std=c99", "-Os", *OBJECT, f"-I{tmp_path}", *CORE[compiler]]
-    run(compiler, *options, tmp_path / "ram.c", "-o", tmp_path / "ram.o")
-    symbols = [line.split() for line in run(sizes, "--print-size", tmp_path / "ram.o").splitlines()]
-    size = {name: int(n, 16) for _, n, kind, name in (s for s in symbols if len(s) == 4)}
-    flash = sum(n for name, n in size.items() if name.startswith("taxeld_"))
-    page = (C.parents[1] / "docs" / "protocol.md").read_text(encoding="utf-8")
-    told = re.search(r"(\d+)\s+bytes\s+of\s+flash,\s+and\s+(\d+)\s+bytes\s+of\s+RAM", page)
-    assert told is not None
-    assert abs(flash - int(told[1])) <= flash / 10, flash
-    assert int(told[2]) == size["ram"]

@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 
 from taxeld_protocol import cyskin
-from taxeld_protocol.cyskin import Packet, Reassembler
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import listed
 from taxeld_protocol.virtual_ihb import HubLink, Phase, VirtualIhb
 from tests.rig.conversations import FOLDER, NAMES, Conversation, Line, hold_device, load
 
-from .c_side import C, CSide, compile_c
+from .c_side import C, compile_c
 from .test_c_side import SANITIZED, c_side  # noqa: F401  (a fixture)
 
 PHASES = {"cold": Phase.BOOTLOADER, "warm": Phase.RUNNING}
@@ -101,13 +100,3 @@ def test_the_hub_in_c_says_its_part(name: str, c_hub: Path, tmp_path: Path) -> N
     done = held(c_hub, tmp_path, text)
     assert done.stderr == ""
     assert done.stdout == f"{text.count(chr(10))} lines\n"
-
-
-@each
-def test_both_languages_read_what_both_sides_say(name: str, c_side: CSide) -> None:  # noqa: F811
-    said = [frame for line in load(name).script for frame in line.frames]
-    link = Reassembler()
-    packets: list[Packet] = [packet for frame in said if (packet := link.feed(frame))]
-    delivered, counters, _ = c_side.reassemble(said)
-    assert delivered == packets
-    assert (counters["foreign"], counters["packets"]) == (1, len(packets))

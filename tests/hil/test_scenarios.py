@@ -45,22 +45,6 @@ fault = [
 """
 
 
-def test_an_object_outside_its_square_is_never_valid_and_the_keys_are_named() -> None:
-    """The arm's base is the world's origin, and the object stands 0.84 m from it."""
-    run = FakeRun(
-        replace(scenario.load("demo"), contacts=2), 0, filter_keys="centre_m = [-0.84, 0]"
-    )
-    grade = run.graded("demo")
-    assert grade.figures["valid"] == 0
-    (found,) = (check for check in grade.checks if check.name == "object found")
-    assert found.detail.endswith(", not valid: outside")
-    assert run.daemon is not None
-    pipeline = run.daemon.pipeline
-    said = pipeline.freshness.sentence(Why.OUTSIDE, pipeline.estimate)
-    assert said.startswith("outside filter.centre_m ± filter.half_width_m: ")
-    assert said.endswith("m; these are [-0.84, 0] ± 0.5 m)")
-
-
 def test_no_estimate_is_valid_before_a_touch_has_told_something(tmp_path: Path) -> None:
     """The first scans of a touch are felt before the belief has learned from them."""
     FakeRun(replace(scenario.load("demo"), contacts=1), 0).graded("demo", tmp_path)
