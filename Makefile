@@ -51,10 +51,9 @@ results: .venv/.all
 	$(BIN)/taxeld-train evaluate $(ASK)
 	$(BIN)/python -m taxeld_training.trials.tables --write
 
-# The README's picture, four moments of a demo session, and the notebook's
+# The notebook's pictures, of a demo's session
 picture: .venv/.all
 	rm -rf .venv/picture
-	$(BIN)/taxeld-hil run demo --seed 3 --out .venv/picture/found --png docs/demo.png
 	$(BIN)/taxeld-hil run demo --seed $(SEED) --out .venv/picture/session
 	$(BIN)/python tests/pages.py examples/belief.ipynb .venv/picture
 

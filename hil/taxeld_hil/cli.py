@@ -49,10 +49,6 @@ def _run(args: argparse.Namespace) -> int:
     from taxeld_hil.run.fake import FakeRun
 
     is_simulated = args.target == "sim"
-    if args.png and not is_simulated:
-        raise SetupError("--png: a run on hardware records no session to show")
-    if args.png:
-        from taxeld_hil.run import picture
     scenario = _scenario(args, *args.layout or ())
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
@@ -67,24 +63,14 @@ def _run(args: argparse.Namespace) -> int:
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
     graded = run.graded(name, out)
     _say("\n".join(grade.lines(graded)))
-    if args.png:
-        picture.draw(out, args.png)
     if is_simulated:
-        _say_next(args, scenario, out)
+        _say_next(scenario, out)
     return 0 if graded.passed else 1
 
 
-def _say_next(args: argparse.Namespace, scenario: "Scenario", out: Path) -> None:
-    """How to see the session, by Rerun or by matplotlib alone, and how to go on with its bundle."""
+def _say_next(scenario: "Scenario", out: Path) -> None:
+    """How to see the session, and how to go on with its bundle."""
     _say(f"see it: {_command('taxeld', 'view', out)}")
-    if not args.png:
-        given = [args.scenario, *["--advised"] * args.advised]
-        for option, value in (("seed", args.seed), ("object", args.object), ("foam", args.foam)):
-            given += [f"--{option}", value] if value else []
-        for layout in args.layout or ():
-            given += ["--layout", layout]
-        png = f"{Path(args.scenario).stem}.png"
-        _say(f"draw it: {_command('taxeld-hil', 'run', *given, '--clock', 'fake', '--png', png)}")
     if scenario.links > 1:
         return  # their configuration is in the session
     given = ["--bundle", scenario.bundle]
@@ -255,8 +241,6 @@ def _of_run(made: argparse.ArgumentParser) -> None:
     add("--clock", choices=("real", "fake"), default="real")
     about = "the robot follows the daemon's advice, on the fake clock"
     add("--advised", action="store_true", help=about)
-    about = "draw how the object was found: four moments of the session"
-    add("--png", type=Path, metavar="OUT", help=about)
     about = "in place of the scenario's, as skin.layout; each of several is of a link"
     add("--layout", action="append", help=about)
 

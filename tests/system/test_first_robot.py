@@ -134,7 +134,6 @@ def test_from_a_layout_to_a_graded_run_each_command_is_printed_by_the_one_before
     assert said.keys() & {"passed", "failed"}, ran.stdout
     for command in (
         f"{said['see it']} --save seen.rrd",
-        said["draw it"],
         said["next"].replace("can:can0", "can:nothing0"),
     ):
         done = follow(command, tmp_path)

@@ -16,7 +16,7 @@ SESSION = "'taxeld replay DIR' plays a session, and 'taxeld view DIR' shows it"
 
 GONE: dict[str, str] = {
     "advice": "taxeld advise CONFIG asks the daemon what it has felt, and advises; see its options",
-    "taxeld-hil draw": "'taxeld-hil run SCENARIO --png OUT' draws, 'taxeld view DIR' shows",
+    "taxeld-hil draw": "'taxeld view DIR' draws a session",
     "taxeld-hil table": "'taxeld-hil matrix' has in which signs each fault showed, and how soon",
     "taxeld-hil soak --lap": "a soak's report has a row a lap",
     "taxeld-hil soak --no-faults": "a scenario without faults has none: 'taxeld-hil matrix demo'",
@@ -24,6 +24,7 @@ GONE: dict[str, str] = {
     "taxeld-hil soak --object": IN_FILE,
     "taxeld-hil soak --foam": IN_FILE,
     "taxeld-hil soak --layout": IN_FILE,
+    "taxeld-hil run --png": "'taxeld view DIR' draws the session, in a window or by --save FILE",
     "taxeld-hil run --transport": "the scenario's file has its transport",
     "taxeld-hil matrix --real": "'taxeld-hil run' plays a scenario in real time",
     "taxeld-hil expect --memory": KEPT,
