@@ -31,8 +31,6 @@ BITRATES = {
     1_000_000: b"S8",
 }
 
-STATUS = re.compile(rb"F([0-9A-Fa-f]{2})")  # answer to F: flags, bit 0 receive queue full
-
 _FRAME = re.compile(
     rb"(?:t([0-7][0-9A-Fa-f]{2})|T([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2}){0,12})"
 )

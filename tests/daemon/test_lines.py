@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source.bus_faults import BusFault
 from taxeld.source.lines import SerialLine
 from taxeld.source.opening import open_device, open_source
 from taxeld.source.recorder import Recorder
@@ -186,26 +185,6 @@ def test_a_hub_that_takes_its_time_is_started_and_its_channel_is_not_opened_agai
     assert skin.more() < 6.0
     assert "its channel is opened again" not in caplog.text
     assert skin.source.counters.unsent == 0
-
-
-@pytest.mark.parametrize(
-    ("flags", "kind"),
-    [
-        (0x0B, "overflow"),
-        (0x04, "warning"),
-        (0x20, "passive"),
-        (0x40, "arbitration"),
-        (0x80, "error"),
-    ],
-)
-def test_a_silent_adapter_is_asked_for_its_flags_and_they_are_said(
-    opened: Opened, flags: int, kind: str
-) -> None:
-    skin = opened("lawicel", listen_only=True, modules=LISTED)
-    skin.adapter.flags = flags
-    skin.until(lambda: any(skin.source.bus.counts.values()))
-    assert {fault: n for fault, n in skin.source.bus.counts.items() if n} == {kind: 1}
-    assert (kind == "arbitration") != (BusFault(kind).line in skin.source.waits_for)
 
 
 def test_foreign_frames_are_counted_and_damaged_lines_cost_only_themselves(opened: Opened) -> None:

@@ -16,7 +16,7 @@ import serial
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source.bus_faults import BusFault
+from taxeld.source.bus_faults import POWER, WIRING
 from taxeld.source.device import Device, LostError, request_frame, unopened
 from taxeld_protocol import serial_link, slcan
 from taxeld_protocol.cyskin import LEAVE_BOOTLOADER
@@ -34,18 +34,10 @@ LEAVE_S = 0.02  # time for the last requests to leave an adapter, before its cha
 CLOSE = b"C\r"
 CLOSE_TWICE = 2 * CLOSE  # the first CLOSE may only end an unfinished line of an earlier host
 OPEN = b"O\r"
-FLAGS = b"F\r"  # asks an open channel for its flags, which not every adapter knows
 LISTEN = b"L\r"  # opens to listen only; CANable's firmware does not know it
 SILENT, NORMAL = b"M1\r", b"M0\r"  # CANable's: whether the next OPEN listens only
-FLAGGED = {  # bits of the flags, as Lawicel's
-    0x0B: BusFault.OVERFLOW,
-    0x04: BusFault.WARNING,
-    0x20: BusFault.PASSIVE,
-    0x40: BusFault.ARBITRATION,
-    0x80: BusFault.ERROR,
-}
 # A channel may be closed already, and not every adapter knows M0 and L.
-MAY_BE_REFUSED = (b"", FLAGS, CLOSE_TWICE, LISTEN, NORMAL)
+MAY_BE_REFUSED = (b"", CLOSE_TWICE, LISTEN, NORMAL)
 REFUSALS = {  # first letter of a refused line → reason and cure
     b"S": "it knows no such bit rate: source.bitrate must be one that it does",
     b"O": "its channel does not open; is the bit rate one that it knows?",
@@ -186,10 +178,6 @@ class SlcanDevice(SerialLine):
                 self._frame_came = True
             elif line in slcan.ACCEPTED:
                 self._answer = True
-            elif status := slcan.STATUS.fullmatch(line):
-                self._answer = True
-                flags = int(status[1], 16)
-                self.noticed.bus.update(fault for bits, fault in FLAGGED.items() if flags & bits)
         self.noticed.foreign += self._reader.foreign - foreign
         return frames
 
@@ -230,15 +218,15 @@ class SlcanDevice(SerialLine):
         """Open the channel again after a silence."""
         every = f"{self._silence_s:g} s"
         self.waits_for = (
-            f"source.channel: nothing has come from {self._where} for {every}; its channel is "
-            f"opened again every {every}"
+            f"source.channel: nothing has come from {self._where} for {every}; {POWER}, and "
+            f"{WIRING}; its channel is opened again every {every}"
         )
         try:
             # another process that closed the channel may have set the line otherwise
             self._port.baudrate = self._port.baudrate
         except (OSError, termios.error) as error:
             raise LostError from error
-        self._steps = [FLAGS, *self._opening]
+        self._steps = list(self._opening)
         self._line, self._answer, self._step_s = b"", None, -math.inf
 
     def _may_go_on(self, now_s: float) -> bool:

@@ -39,7 +39,6 @@ class Adapter:
     def reset(self) -> None:
         """It has lost its power."""
         self.is_open = self.is_silent = False
-        self.flags = 0  # answer to F, which Lawicel's knows
         self._rate = b"" if self.kind.answers else b"S4"
         self._last = b""
 
@@ -56,8 +55,6 @@ class Adapter:
         frame = slcan.parse(line, t)
         if frame is None:
             self.heard.append(line)
-            if line == b"F" and self.is_open and self.kind.stamp_digits:
-                return b"F%02X\r" % self.flags, None
             done = self._command(line)
             return (CR if done else BEL) if self.kind.answers else b"", None
         sent = self.on_bus and not self.is_silent
