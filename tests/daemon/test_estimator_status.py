@@ -20,6 +20,7 @@ from taxeld.estimator.estimate import (
 )
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import SEARCHES
+from taxeld.estimator.scans import REMEMBERED
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import Activation, Observation, ObservationModel
@@ -68,6 +69,16 @@ def test_an_object_that_was_moved_is_missed_by_two_touches_and_then_found(
     estimate = world.find(subject)
     assert estimate.hypotheses.moved > 0.9
     assert subject.rule.metric.distance(estimate.map, world.truth) < 0.003
+
+
+def test_an_object_that_stands_does_not_move_as_contacts_are_forgotten(
+    box_model: ObservationModel,
+) -> None:
+    world = World(box_model)
+    subject = world.knowing()
+    estimates = [world.press(subject, 0.2 + 1.35 * k) for k in range(2 * REMEMBERED)]
+    moved = np.array([estimate.hypotheses.moved for estimate in estimates])
+    assert np.mean(moved[REMEMBERED:] < 0.5) > 0.8
 
 
 @pytest.mark.parametrize("other", [disc(0.05), box(0.06, 0.06), box(0.02, 0.1)])

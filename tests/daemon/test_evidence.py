@@ -33,7 +33,9 @@ def of_contacts(n: int, scans: int = 1) -> Runs:
     shares = np.hstack([np.repeat(np.eye(n), scans, axis=0) / scans, np.zeros((n * scans, n))])
     begun = np.full(n, np.log(HAZARD) + EVIDENCE)
     begun[0] = 0.0
-    return Runs(shares, np.repeat([USUAL, 0.0], n), np.ones(n, np.bool_), begun, begun)
+    return Runs(
+        np.arange(n), shares, np.repeat([USUAL, 0.0], n), np.ones(n, np.bool_), begun, begun
+    )
 
 
 def support(runs: Runs, *told: float) -> float:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats
 from taxeld.estimator import particles as pf
@@ -30,6 +31,7 @@ MEANINGLESS = 1e-3  # probability that a contact has nothing to do with the obje
 LEAST = float(np.log(MEANINGLESS))
 FINE = np.array([0.004, 0.004, 0.06])  # m, m, rad: cells that measure the room that a belief takes
 OTHER = -1.0  # log odds of another object before anything is felt
+FADED = 1e3  # nats that a run loses at most when scans are forgotten
 ALIKE = 3.0  # nats a contact after its first, by which another object explains itself better
 
 
@@ -37,6 +39,7 @@ ALIKE = 3.0  # nats a contact after its first, by which another object explains 
 class Runs:
     """K remembered scans in R steps: a contact, or the silence since the contact before."""
 
+    step: NDArray[np.intp]  # (R,) numbers of the contacts
     shares: Floats  # (terms, 2 R) a scan's share in its step's contact, then in its step's silence
     usual: Floats  # (2 R,) log-likelihoods of the same without this object
     touched: Bools  # (R,) whether a step has a contact
@@ -58,6 +61,21 @@ class Runs:
         each = self.each(explained)
         top = each.max(axis=1)
         return np.asarray(top + np.log(np.exp(each - top[:, None]).sum(axis=1)))
+
+
+def inherited(belief: Belief, before: Runs, fewer: Runs, explained: Floats) -> Floats:
+    """Nats (R,) by which each run of `fewer` scans must gain, so that it keeps its share of a
+    belief of all scans. A run whose first contact is forgotten hands its share to the next one.
+    `explained` (N, terms) is of the fewer scans."""
+    known = belief.log_weight - before.support(belief.remembered)
+    held = np.logaddexp.reduce(before.each(belief.remembered) + known[:, None])
+    left = np.logaddexp.reduce(fewer.each(explained) + known[:, None])
+    heirs = np.flatnonzero(np.isfinite(left))
+    shares, heir = np.full(len(heirs), -np.inf), np.searchsorted(fewer.step[heirs], before.step)
+    np.logaddexp.at(shares, np.minimum(heir, len(heirs) - 1), held)
+    gained = np.maximum(shares - left[heirs], -FADED)
+    # a step without a contact yet, where no run can begin, gains as the run before it
+    return np.asarray(gained[np.searchsorted(heirs, np.arange(len(left)), side="right") - 1])
 
 
 class ObjectEvidence(NamedTuple):

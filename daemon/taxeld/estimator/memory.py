@@ -151,7 +151,9 @@ class Memory:
             if not touched[at]:  # evidence is in relation to poses that touch, and none did yet
                 opens[at] = True
                 begun[at] -= (at > 0) * term.log_untouched
-        return Runs(shares, usual, touched, begun, np.where(opens, begun, -np.inf), prior > 0)
+        return Runs(
+            steps, shares, usual, touched, begun, np.where(opens, begun, -np.inf), prior > 0
+        )
 
     def plus(self, scan: ScanEvidence, log_z: float = 0.0) -> "Memory":
         """A memory of one scan more. `log_z`: log evidence of all that is remembered so far."""
@@ -172,6 +174,16 @@ class Memory:
         scans = tuple(compress(self.scans, kept))
         steps = {scan.step for scan in scans} | ({self.term.step} if self.term else set())
         return replace(self, scans=scans, before={step: self.before[step] for step in steps})
+
+    def after_loss(self, gained: Floats) -> "Memory":
+        """The same with evidence of all before each step that is larger by `gained` (R,) nats, in
+        relation to the first."""
+        steps = self.runs.step.tolist()
+        first = self.before[steps[0]] + gained[0]
+        before = {
+            k: self.before[k] + float(by - first) for k, by in zip(steps, gained, strict=True)
+        }
+        return replace(self, before=before)
 
     def anew(self, prior: BeliefPrior | None = None) -> "Memory":
         """An empty memory of the same slack, with what was known before."""

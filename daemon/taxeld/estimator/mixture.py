@@ -10,7 +10,7 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, Place, placed
-from taxeld.estimator.evidence import LEAST, UNTOUCHED, ModelEvidence, odds
+from taxeld.estimator.evidence import LEAST, UNTOUCHED, ModelEvidence, inherited, odds
 from taxeld.estimator.memory import Memory, ObjectSkin, Slack
 from taxeld.estimator.particles import Belief, Support
 from taxeld.estimator.priors import BeliefPrior, PriorTerm
@@ -101,6 +101,7 @@ class Mixture:
         """Learn from a scan; → the number of samples injected, and the scan's log evidence."""
         samples = self._draw(scan.observation, self._wanted)
         belief, before = self.belief, self.memory
+        known = before.runs.support(belief.remembered)
         # the object may have moved since the last contact, so what is remembered grows older
         if before.slack.nudge_m and scan.number > before.newest:
             self.memory = memory = before.plus(scan, self.log_z)
@@ -111,7 +112,6 @@ class Mixture:
                 return 0, 0.0
             self.memory = memory = before.plus(scan, self.log_z)
             explained = np.column_stack([belief.remembered, newest])
-        known = before.runs.support(belief.remembered)
         belief.remembered = explained
         evidence = pf.reweight(belief, memory.runs.support(explained) - known)
         if evidence is None:
@@ -345,11 +345,15 @@ class Mixture:
         return max(round(self.share * self._config.particles_max), self._config.particles)
 
     def _forget_surplus(self) -> None:
-        """Forget the scan that is too many."""
-        memory, forgotten = self.memory, surplus(self.memory.scans)
-        if forgotten is not None:
-            kept = np.arange(len(memory)) != forgotten
-            terms = np.full(memory.terms, True)
-            memory.of_scans(terms)[:] = kept
-            self.memory = memory.only(kept)
-            self.belief.remembered = self.belief.remembered[:, terms]
+        """Forget the scan that is too many. What it told counts on: had the object to be found
+        anew by the scans that are left, it would seem to have moved."""
+        memory, belief, forgotten = self.memory, self.belief, surplus(self.memory.scans)
+        if forgotten is None:
+            return
+        kept = np.arange(len(memory)) != forgotten
+        terms = np.full(memory.terms, True)
+        memory.of_scans(terms)[:] = kept
+        explained, fewer = belief.remembered[:, terms], memory.only(kept)
+        gained = inherited(belief, memory.runs, fewer.runs, explained)
+        self.memory, self.log_z = fewer.after_loss(gained), self.log_z - float(gained[0])
+        belief.remembered = explained
