@@ -41,7 +41,7 @@ class Taught:
         inverse = Inverse(self.fit.bend, onset)
         z = np.stack([inverse(np.clip(row / gain, 0.0, 1.0)) for row in reading])
         none = np.zeros(depth.shape)
-        return Lesson(z, none + 0.01, wrong * depth, none, none + 1e-5, none == 0.0)
+        return Lesson(z, none + 0.01, wrong * depth, none, none + 1e-5, none == 0.0, none[:, 0] + 1)
 
     @property
     def error(self) -> float:
@@ -75,10 +75,12 @@ def test_a_lesson_of_untouched_and_saturated_taxels_teaches_nothing() -> None:
     fit = SkinFit(TAXELS, NOISE)
     flat = np.zeros((3, TAXELS))
     for z, h in ((0.0, 0.0), (1.0, 1.0), (0.3, 0.0)):
-        before = fit.values
+        before = fit.values[:6]
         for _ in range(2):
-            fit.teach(Lesson(flat + z, flat + 0.01, flat + h, flat, flat, flat == 0.0))
-        assert (fit.values == before).all()
+            fit.teach(
+                Lesson(flat + z, flat + 0.01, flat + h, flat, flat, flat == 0.0, flat[:, 0] + 1)
+            )
+        assert (fit.values[:6] == before).all()
 
 
 def test_the_length_of_the_sag_is_learned_where_the_cover_sags() -> None:
@@ -90,9 +92,34 @@ def test_the_length_of_the_sag_is_learned_where_the_cover_sags() -> None:
         h = sagging(depth, rate)
         z = np.where(true < 0.01, 0.0, true)
         by_sag = h * np.maximum(1.0 - depth / rate, 0.0)
-        fit.teach(Lesson(z, 0.01 + 0.0 * z, h, by_sag, 1e-5 + 0.0 * z, z >= 0.0))
+        fit.teach(Lesson(z, 0.01 + 0.0 * z, h, by_sag, 1e-5 + 0.0 * z, z >= 0.0, np.ones(8)))
     learned = np.exp(fit.fit.mean[2])
     assert np.median(learned) == pytest.approx(0.005, rel=0.2)
+
+
+def answered(fit: SkinFit, answers: Floats, contacts: int, seed: int, depth: float = 0.5) -> None:
+    """Lessons of 12 contacts each, in which every taxel is pressed."""
+    rng, none = np.random.default_rng(seed), np.zeros((12, len(answers)))
+    for _ in range(contacts // 12):
+        z = np.where(rng.random(none.shape) < answers, depth, none)
+        lesson = Lesson(z, none + 0.02, none + depth, none, none, none == 0.0, np.ones(12))
+        fit.teach(lesson)
+
+
+def test_the_share_of_presses_that_a_taxel_answers_is_learned() -> None:
+    answers = np.linspace(0.0, 1.0, TAXELS)
+    fit = SkinFit(TAXELS, NOISE)
+    answered(fit, answers, 120, seed=1)
+    assert np.abs(fit.noise.answers - answers).mean() < 0.1
+    assert np.abs(fit.fit.mean[0] - 1.0).max() < 0.1  # a silence tells nothing of the gain
+    assert fit.share == pytest.approx(0.5, abs=0.1)
+
+
+def test_presses_too_light_to_be_felt_are_no_silence() -> None:
+    fit = SkinFit(TAXELS, NOISE)
+    before = fit.share
+    answered(fit, np.zeros(TAXELS), 120, seed=1, depth=0.01)
+    assert fit.share == pytest.approx(before, abs=0.01)
 
 
 def lived(touches: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[FakeRun, Floats]:
@@ -108,7 +135,7 @@ def lived(touches: int, seed: int, of: str = "", *, learns: bool = True) -> tupl
         if not of and run.daemon.pipeline.skin.fit.lessons:
             break
     run.daemon.pipeline.reset()
-    return run, SkinFit(len(run.skin), NOISE).values[3:]
+    return run, SkinFit(len(run.skin), NOISE).values[3:6]
 
 
 @pytest.mark.check

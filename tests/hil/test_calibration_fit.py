@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import se2
-from taxeld_hil.calibration.calibrate import KNOWN_GAIN_SD, errors_of, fitted
-from taxeld_hil.calibration.fit import FitResult, likeliest
+from taxeld_hil.calibration.calibrate import KNOWN_GAIN_SD, answers_of, errors_of, fitted
+from taxeld_hil.calibration.fit import FIRM, FitResult, likeliest
 from taxeld_hil.calibration.presses import LEAST_SCANS, MOST_SCANS, Presses, PressFinder
 from tests.hil.rig import MODEL, PLACED, SKIN, PressedSkin
 
@@ -65,6 +65,18 @@ def test_a_module_that_reads_a_neighbours_press_along_biases_no_gain_by_much() -
     fit = fitted(MODEL, replace(presses, counts=coupled), NOISE, PLACED, given=True)
     known = fit.sd.log_gain < KNOWN_GAIN_SD
     assert np.median(gain_off(fit, skin)[known]) < 0.03
+
+
+def test_taxels_that_answer_some_presses_alone_spoil_neither_mount_nor_gains() -> None:
+    skin, rng = PressedSkin.drawn(MODEL, 4), np.random.default_rng(4)
+    presses, answers = skin.presses(), rng.beta(0.6, 0.8, len(SKIN))
+    silent = rng.random(presses.counts.shape) >= answers
+    presses = replace(presses, counts=np.where(silent, 0.0, presses.counts))
+    fit = fitted(MODEL, presses, NOISE, PLACED, given=True)
+    assert np.hypot(*(fit.value.mount - skin.mount)[:2]) < 5e-4
+    assert np.median(gain_off(fit, skin)[fit.sd.log_gain < KNOWN_GAIN_SD]) < 0.04
+    firm = (fit.depth > FIRM).sum(axis=0) > 2
+    assert np.corrcoef(answers_of(presses, fit)[firm], answers[firm])[0, 1] > 0.7
 
 
 @pytest.mark.check

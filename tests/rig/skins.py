@@ -51,5 +51,6 @@ def calibration_of(skin: Layout, **changed: object) -> Calibration:
         onset_sd=rng.uniform(0.1, 0.8, taxels),
         noise_counts=rng.uniform(5, 90, taxels),
         frozen=np.arange(taxels) == 7,
+        answers=rng.uniform(0.1, 1.0, taxels),
     )
     return replace(usual, **changed)  # type: ignore[arg-type]

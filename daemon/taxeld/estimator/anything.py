@@ -72,7 +72,7 @@ class Anything:
         z_near, floor_near, residue_near = one
         spread = of.variance(h) + residue_near**2 + more * more
         excess = (np.where(z_near > 0.0, z_near, floor_near) - h) / np.sqrt(spread)
-        told = of.log_of(z_near, excess, spread).sum(axis=1)
+        told = of.log_of(z_near, excess, spread, of.quiet(z_near)).sum(axis=1)
         far = live & ~near
         silent = noise.of(far).log_density(z[far], np.zeros(1), floor[far], residue[far])
         top = float(told.max())

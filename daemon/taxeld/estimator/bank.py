@@ -43,7 +43,10 @@ class Known:
     def drawn(self, observation: Observation, n: int, rng: np.random.Generator) -> Poses:
         """At most n poses (≤ n, 3) in the world that explain an observation by itself."""
         model, proposal = self.on(observation.link)
-        poses = proposal.propose(observation.z, observation.live, n, rng)
+        z, live = observation.z, observation.live
+        if observation.noise is not None:  # a silence that is the taxel's own tells nothing
+            live = live & (observation.noise.quiet(z) < 0.5)
+        poses = proposal.propose(z, live, n, rng)
         poses = poses[np.isfinite(poses).all(axis=1)]
         return se2.compose(observation.sensor, touching(model, poses))
 

@@ -17,7 +17,7 @@ from taxeld.model.noise import BOWLING, FARTHEST_SD, Noise
 from taxeld.model.observation import BAND_M, ObservationModel
 from taxeld.model.response import FARTHEST_RATES, LEAST_RATE
 
-FIELDS = 8  # of `scans.Field`, the first ones, that the C code reads
+FIELDS = 9  # of `scans.Field`, the first ones, that the C code reads
 SHARED = "far", "hidden", "robust", "clear", "steps", "enough", "most", "least_m2"
 LANES = 8  # lanes of the C code's vectors
 

@@ -20,7 +20,7 @@ const char taxeld_source[] = SOURCE;
 #endif
 #define INLINE static inline __attribute__((always_inline))  /* into each of the clones */
 
-enum { Z, LEVEL, ROOT, SILENT, SIGMA2, GAIN2, SAG, MOST };  /* of what is kept */
+enum { Z, LEVEL, ROOT, SILENT, SIGMA2, GAIN2, SAG, MOST, QUIET };  /* of what is kept */
 enum { LANES = 8 };  /* of a vector; a run is no longer */
 
 typedef float Vector __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
@@ -56,7 +56,7 @@ typedef struct {  /* room, for one pose and scan but where it says more */
     float *tx, *ty;  /* (runs,) direction around the link there */
     uint32_t *cell;  /* (runs,) */
     float *depth, *gx, *gy, *off, *ax, *ay;  /* of taxels near a press, one after the other, */
-    float *z, *level, *root, *silent, *sigma2, *gain2;  /* and what is kept of them */
+    float *z, *level, *root, *silent, *sigma2, *gain2, *quiet;  /* and what is kept of them */
     float *rate, *most;  /* depths below which the cover's sag is read, and one sd more */
     int64_t n;
 } Near;
@@ -92,7 +92,8 @@ INLINE void look_up(const Model *m, Near *near, const Seen *s, float x, float y,
     float *restrict depth = near->depth, *restrict gx = near->gx, *restrict gy = near->gy;
     float *restrict z = near->z, *restrict level = near->level, *restrict root = near->root;
     float *restrict silent = near->silent, *restrict sigma2 = near->sigma2;
-    float *restrict gain2 = near->gain2, *restrict rate = near->rate, *restrict most = near->most;
+    float *restrict gain2 = near->gain2, *restrict quiet = near->quiet;
+    float *restrict rate = near->rate, *restrict most = near->most;
     float *restrict tx = near->tx, *restrict ty = near->ty, least = m->least_rate;
     const uint8_t *mask = s->touched ? m->about : m->pressed;
     int beyond = band > (float)m->band;  /* which the mask does not hold */
@@ -132,6 +133,7 @@ INLINE void look_up(const Model *m, Near *near, const Seen *s, float x, float y,
         VECTOR(sigma2 + n) = READ(read + SIGMA2 * field);
         VECTOR(gain2 + n) = READ(read + GAIN2 * field);
         VECTOR(silent + n) = READ(read + SILENT * field);
+        VECTOR(quiet + n) = READ(read + QUIET * field);
         n += m->size[i];
     }
     VECTOR(root + n) = (Vector){0};  /* what fills up the last vector is not believed */
@@ -164,7 +166,8 @@ INLINE Fit fit(const Model *m, Near *near, const Seen *s, double ex, double ey, 
     float *restrict offs = near->off, *restrict ax = near->ax, *restrict ay = near->ay;
     const float *depth = near->depth, *rate = near->rate, *most = near->most;
     const float *z = near->z, *level = near->level, *root = near->root, *silent = near->silent;
-    const float *sigma2 = near->sigma2, *gain2 = near->gain2, *slow = first ? most : rate;
+    const float *sigma2 = near->sigma2, *gain2 = near->gain2, *quiet = near->quiet;
+    const float *slow = first ? most : rate;
 #pragma GCC ivdep
     for (int64_t i = 0; i < near->n; i++) {
         float low = sagging(depth[i], rate[i], beneath), high = sagging(depth[i], most[i], beneath);
@@ -176,8 +179,10 @@ INLINE Fit fit(const Model *m, Near *near, const Seen *s, double ex, double ey, 
         int is_told = (z[i] > 0.0f) & (z[i] < 1.0f);
         float power = expf(is_told ? -0.5f * square : beyond);
         float likely = is_told ? 0.39894228f * power * by_sd : 1.0f / (1.0f + power);
-        float gained = logf(keep * likely + least) - silent[i];
+        likely = (1.0f - quiet[i]) * (keep * likely + least);
+        float gained = logf(quiet[i] + likely) - silent[i];
         sum += root[i] > 0.0f ? gained : 0.0f;
+        by_sd *= sqrtf(likely / (quiet[i] + likely));
         float sag = first ? high : low;
         int straight = (slow[i] <= least_rate) | (depth[i] >= slow[i]);
         straight |= z[i] * z[i] > clear * sigma2[i];
@@ -252,7 +257,7 @@ static void *room_for(const Model *m, const Scans *s, Near *near)
 {
     float **each[] = {&near->depth, &near->gx, &near->gy, &near->off, &near->ax, &near->ay,
                       &near->z, &near->level, &near->root, &near->silent, &near->sigma2,
-                      &near->gain2, &near->rate, &near->most};
+                      &near->gain2, &near->quiet, &near->rate, &near->most};
     int64_t fields = sizeof(each) / sizeof(*each), runs = m->runs, taxels = m->taxels + LANES;
     int64_t turned = 2 * s->scans * sizeof(double);
     double *room = calloc(1, turned + (5 * runs + fields * taxels) * sizeof(float));

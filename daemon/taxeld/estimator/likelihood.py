@@ -75,13 +75,16 @@ class Touches:
         """Rows (n,) at offsets (n, 2). No sag pulls where nothing is touched, so at the `first`
         offset clear presses pull as if the cover did not sag."""
         near, told = self.near(rows, offset, first=first)
-        z, level, live, silent, sigma2, gain2, sag, most = told[: Field.RESIDUE]
+        z, level, live, silent, sigma2, gain2, sag, most, quiet = told[: Field.RESIDUE]
         rate, farther = (np.maximum(near.along * each, LEAST_RATE) for each in (sag, most))
         low, high = sagging(near.depth, rate), sagging(near.depth, farther)
         h = np.minimum(low, 1.0)
         spread = sigma2 + gain2 * h * h + (np.minimum(high, 1.0) - h) ** 2
         root = 1.0 / np.sqrt(spread)
-        gain = self.noise.log_of(z, (level - h) * root, spread) - silent
+        log_p = self.noise.log_of(z, (level - h) * root, spread, quiet)
+        gain = log_p - silent
+        may_answer = np.maximum(1.0 - quiet * np.exp(-log_p), 0.0)
+        root *= np.sqrt(may_answer)  # a taxel that may be silent pulls less
         slow, read = (farther, high) if first else (rate, low)
         straight = (slow <= LEAST_RATE) | (near.depth >= slow)
         straight |= first & (z * z > CLEAR**2 * sigma2)
@@ -92,11 +95,11 @@ class Touches:
         x, y = near.gx * move, near.gy * move
         parts = [gain, *(weight * np.array([x * off, y * off, x * x, x * y, x * y, y * y]))]
         n, precision = len(rows), 1.0 / np.maximum(self.variance[rows, None], LEAST_M2)
-        log_p, *sums = (np.bincount(near.row, each * (live > 0.0), n) for each in parts)
-        log_p = log_p - 0.5 * (precision * offset * offset).sum(axis=1)
+        total, *sums = (np.bincount(near.row, each * (live > 0.0), n) for each in parts)
+        total = total - 0.5 * (precision * offset * offset).sum(axis=1)
         slope = np.transpose(sums[:2]) - precision * offset
         curve = np.transpose(sums[2:]).reshape(n, 2, 2) + precision[:, :, None] * np.eye(2)
-        return Fit(offset, log_p, slope, curve)
+        return Fit(offset, total, slope, curve)
 
     def top(self) -> Fit:
         """The best on the way up (R,)."""

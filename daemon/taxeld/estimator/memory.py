@@ -260,6 +260,6 @@ class Memory:
         h, square = mean(found), mean(found * found)
         by_sag = mean(found * np.maximum(1.0 - depth / rate, 0.0))
         z, live = fields[Field.Z].astype(np.float64), fields[Field.ROOT] > 0.0
-        floor = np.where(z > 0.0, 0.0, fields[Field.LEVEL])
+        floors = [np.broadcast_to(self.scans[k].observation.floor, taxels) for k in scans.tolist()]
         added = square - h * h + fields[Field.RESIDUE] ** 2
-        return Lesson(z, floor, h, by_sag, added, live)
+        return Lesson(z, np.stack(floors), h, by_sag, added, live, self.share[scans])

@@ -22,8 +22,8 @@ from taxeld.model.response import SAG_M, SAG_SD
 
 REMEMBERED = 16  # scans of touches at most
 SILENT_MAX = 32  # silent scans at most
-VERSION = 3  # of `scan_arrays` and `SkinState`
-OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd"
+VERSION = 4  # of `scan_arrays` and `SkinState`
+OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd", "answers"
 OF_TAXELS = "z", "live", "floor", "residue", *OF_NOISE
 
 Arrays = dict[str, NDArray[Any]]
@@ -32,7 +32,7 @@ Used = tuple[Observation, int]
 
 
 class Field(IntEnum):
-    """What is told by each reading, as `explain` needs it; explain.c reads the first eight."""
+    """What is told by each reading, as `explain` needs it; explain.c reads the first nine."""
 
     Z = 0
     LEVEL = 1  # the reading, or the floor where it is 0
@@ -42,7 +42,8 @@ class Field(IntEnum):
     GAIN2 = 5  # variance of the gain
     SAG = 6  # length of the cover's sag beside the taxel [m]
     MOST = 7  # the same, one standard deviation more
-    RESIDUE = 8
+    QUIET = 8  # probability that the reading is 0 at any depth; 0 where it is not 0
+    RESIDUE = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +151,7 @@ def fields_of(z: Floats, like: Observation, noise: Noise) -> Grid:
     made[Field.GAIN2] = np.square(noise.gain_cv)
     made[Field.SAG] = noise.sag_m
     made[Field.MOST] = noise.sag_m * np.exp(noise.sag_sd)
+    made[Field.QUIET] = noise.quiet(z)
     made[Field.RESIDUE] = residue
     return made
 

@@ -25,6 +25,7 @@ class Noise:
     outliers: float = 0.01  # probability that a reading has nothing to do with the pose
     sag_m: Floats | float = 0.0  # length by which the cover sags beside a press (`response`)
     sag_sd: Floats | float = 0.0  # sd of that length's logarithm
+    answers: Floats | float = 1.0  # probability that a pressed taxel answers at all
 
     @property
     def least(self) -> float:
@@ -33,15 +34,16 @@ class Noise:
 
     def of(self, taxels: Bools) -> "Noise":
         """The errors of the taxels in a mask (M,) alone."""
-        own = (self.sigma, self.gain_cv, self.sag_m, self.sag_sd)
-        sigma, gain_cv, sag_m, sag_sd = (a[taxels] if np.ndim(a) else a for a in own)  # type: ignore[index]
-        return Noise(sigma, gain_cv, self.outliers, sag_m, sag_sd)
+        own = (self.sigma, self.gain_cv, self.sag_m, self.sag_sd, self.answers)
+        sigma, gain_cv, *others = (a[taxels] if np.ndim(a) else a for a in own)  # type: ignore[index]
+        return Noise(sigma, gain_cv, self.outliers, *others)
 
     def draw(self, h: Floats, rng: np.random.Generator) -> Floats:
         """Readings of true activations `h` (any shape)."""
         gain = 1.0 + self.gain_cv * rng.standard_normal(h.shape)
         z = np.minimum(gain * h + self.sigma * rng.standard_normal(h.shape), 1.0)
-        return np.where(z < FLOOR, 0.0, z)
+        is_silent = rng.random(h.shape) >= self.answers if np.min(self.answers) < 1.0 else False
+        return np.where((z < FLOOR) | is_silent, 0.0, z)
 
     def log_density(
         self, z: Reals, h: Reals, floor: Reals | float = FLOOR, residue: Reals | float = 0.0
@@ -53,26 +55,33 @@ class Noise:
         Between floor and full scale it is a Gaussian's density. A reading of 0 is censored, and one
         of 1 saturated: their terms are the probabilities of less than the floor, or of more than
         full scale (a tobit model). With probability `outliers` a reading means nothing, and is 0, 1
-        or anything between alike, so a single broken taxel costs a pose a bounded amount.
+        or anything between alike, so a single broken taxel costs a pose a bounded amount. A taxel
+        may also fail to answer, and read 0: P(0) = (1 - answers) + answers · P(under the floor).
+        That it did answer is as likely at every depth, and is left out.
         """
         variance = self.variance(h) + residue * residue
         off = (np.where(z > 0.0, z, floor) - h) / np.sqrt(variance)
-        return self.log_of(z, off, variance)
+        return self.log_of(z, off, variance, self.quiet(z))
+
+    def quiet(self, z: Reals) -> Floats:
+        """Probability (…, M) that a reading z (…, M) is 0 at any depth; 0 where it is not 0."""
+        return np.asarray((1.0 - self.answers) * (z <= 0.0))
 
     def variance(self, h: Reals) -> Floats:
         """Variance of a reading about its true activation `h` (any shape); → the same shape."""
         return np.asarray(np.square(self.sigma) + np.square(self.gain_cv * h))
 
-    def log_of(self, z: Reals, off: Reals, variance: Reals) -> Floats:
+    def log_of(self, z: Reals, off: Reals, variance: Reals, quiet: Reals | float = 0.0) -> Floats:
         """`log_density` for readings z that lie `off` standard deviations over the expected; a
-        reading of 0 has its floor in its place. All three have shapes that broadcast, as (P,)."""
+        reading of 0 has its floor in its place. All have shapes that broadcast, as (P,)."""
         off = np.minimum(np.maximum(off, -FARTHEST_SD), FARTHEST_SD)
         square = off * off
         told = (z > 0.0) & (z < 1.0)
         sign = np.where(z > 0.0, off, -off)  # positive above full scale or under the floor
         power = np.exp(np.where(told, -0.5 * square, sign * (BOWLING[0] + BOWLING[1] * square)))
         likely = np.where(told, power / np.sqrt(2.0 * np.pi * variance), 1.0 / (1.0 + power))
-        return np.asarray(np.log((1.0 - self.outliers) * likely + self.least))
+        likely = (1.0 - self.outliers) * likely + self.least
+        return np.asarray(np.log(quiet + (1.0 - quiet) * likely))
 
 
 def normal_cdf(x: Floats) -> Floats:

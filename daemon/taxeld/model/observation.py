@@ -59,11 +59,12 @@ class Lesson(NamedTuple):
     of full scale: they tell a skin about its taxels."""
 
     z: Floats  # by the curves in use; 0 under the floor
-    floor: Floats  # of readings of 0
+    floor: Floats  # under which a reading is 0
     h: Floats  # expected depth, with sag
     by_sag: Floats  # slope of h over the logarithm of the sag's length
     variance: Floats  # of the depth about h, by pose, and of what earlier presses may have left
     live: Bools
+    share: Floats  # (K,) of each scan in its contact
 
 
 class Nearby(NamedTuple):

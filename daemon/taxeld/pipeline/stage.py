@@ -121,7 +121,7 @@ class LinkStage:
                 "poses": self.poses.taken,
                 "poses_rejected": self.poses.rejected,
             },
-            "skin": {**asdict(skin.counters), "gain": skin.fit.gain},
+            "skin": {**asdict(skin.counters), "gain": skin.fit.gain, "answers": skin.fit.share},
             "modules": {"layout": len(skin.wiring.suis), "foreign": len(skin.wiring.foreign)},
             **skin.faults(),
         }

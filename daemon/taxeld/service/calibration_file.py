@@ -45,6 +45,7 @@ class TaxelTable:
     onset_sd: float = key(check=between(0, 20))
     noise_counts: float = key(check=between(0, 65535))
     frozen: bool = key(False)
+    answers: float = key(1.0, check=between(0, 1))
 
 
 @dataclass(frozen=True, slots=True)

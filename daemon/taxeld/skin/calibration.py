@@ -32,6 +32,7 @@ class Calibration:
     onset_sd: Floats
     noise_counts: Floats  # (M,) sd of a reading at rest
     frozen: Bools  # (M,) taxels that never changed
+    answers: Floats  # (M,) share of the presses that each taxel answers at all
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +48,7 @@ class SkinState:
     t0: Floats  # (K,) counts, nan where there is none
     full_scale: float  # counts at full depth of a gain of 1, to which the responses belong
     calibrated_t: float  # time of the calibration from which they were learned; 0 without one
-    response: Floats  # (6, M) as `SkinFit.values`
+    response: Floats  # (8, M) as `SkinFit.values`
 
 
 def skin_digest(layout: Layout) -> str:

@@ -1,10 +1,13 @@
-"""What touches teach about each taxel: its gain, the onset of its response, and its sag.
+"""What touches teach about each taxel: gain, onset of its response, sag, and whether it answers.
 
 A sure belief says how deep each taxel was pressed, so its readings say how it responds. Each taxel
 has a Gaussian over three numbers (`model.response`): the relative gain, the onset of its own curve,
 and the logarithm of the length by which the cover sags beside it. A reading is one step of an
-extended Kalman filter. A lesson is a trial first: it stays only where it foretells the readings of
-the next lesson better than what was known before (prequential; Dawid 1984).
+extended Kalman filter. On real skins many taxels stay silent under a press, always the same ones,
+so the share of presses that a taxel answers is learned too, as a beta distribution. At a depth that
+is felt with probability t, a silence has the likelihood 1 - answers·t; it counts for as much of a
+press as gives this likelihood's slope. A lesson is a trial first: it stays only where it foretells
+the readings of the next lesson better than what was known before (prequential; Dawid 1984).
 """
 
 from dataclasses import dataclass
@@ -13,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from taxeld.arrays import Floats
-from taxeld.model.noise import Noise
+from taxeld.model.noise import Noise, normal_cdf
 from taxeld.model.observation import Lesson
 from taxeld.model.response import SAG_M, SAG_SD, deviation, response
 from taxeld.skin.calibration import Calibration
@@ -32,6 +35,9 @@ OWN = 0.5  # share of the sag's variance that is the taxel's own; the rest is a 
 ROBUST = 2.0  # standard deviations beyond which a reading teaches less (Huber 1964)
 LEAST = np.array([[0.4], [-0.9], [np.log(2e-4)]])  # least gain, onset, log length
 MOST = np.array([[2.5], [3.0], [np.log(0.012)]])
+ANSWERS = 0.998  # mean share of presses that a taxel answers, before anything is learned
+FIRM = 2.0  # standard deviations over the floor of an expected depth that must be answered
+ANSWERED = 2.0  # presses that this mean, or a calibration's, counts for
 
 
 class LinearLesson(NamedTuple):
@@ -40,6 +46,9 @@ class LinearLesson(NamedTuple):
     value: Floats  # (K, M) `slope` times the three numbers, plus an error
     slope: Floats  # (K, 3, M)
     variance: Floats  # (K, M) of the error; infinite where a reading tells nothing
+    answered: Floats  # (K, M) share of a press that was answered
+    silent: Floats  # (K, M) share of a press that was not
+    felt: Floats  # (K, M) probability that it would be felt
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +57,17 @@ class TaxelFit:
 
     mean: Floats  # (3, M) relative gain, onset, logarithm of the sag's length [m]
     cov: Floats  # (3, 3, M)
+    count: Floats  # (2, M) of presses that were answered, and that were not
+
+    @property
+    def answers(self) -> Floats:
+        """(M,) probability that a taxel answers a press."""
+        return np.asarray(self.count[0] / self.count.sum(axis=0))
 
     def learned(self, seen: LinearLesson) -> "TaxelFit":
         """The Gaussians after these readings."""
         mean, cov = self.mean, self.cov
-        for value, slope, variance in zip(*seen, strict=True):
+        for value, slope, variance in zip(*seen[:3], strict=True):
             across = np.einsum("ijm,jm->im", cov, slope)
             spread = np.einsum("im,im->m", slope, across)
             left = value - np.einsum("im,im->m", slope, mean)
@@ -60,7 +75,11 @@ class TaxelFit:
             gain = across / (spread + variance / np.minimum(far, 1.0) ** 2)
             mean = np.clip(mean + gain * left, LEAST, MOST)
             cov = cov - gain[:, None] * across[None]
-        return TaxelFit(mean, cov)
+        count = self.count.copy()
+        for answered, silent, felt in zip(*seen[3:], strict=True):
+            missing = count[1] / count.sum(axis=0)
+            count += answered, silent * missing * felt / (1.0 - (1.0 - missing) * felt)
+        return TaxelFit(mean, cov, count)
 
     def log_density(self, seen: LinearLesson) -> float:
         """Log-density of these readings; each counts within bounds."""
@@ -68,7 +87,9 @@ class TaxelFit:
         spread = np.einsum("kim,ijm,kjm->km", seen.slope, self.cov, seen.slope) + seen.variance
         told = np.isfinite(spread)
         square = np.minimum(left[told] ** 2 / spread[told], (2.0 * ROBUST) ** 2)
-        return float(-0.5 * (square + np.log(spread[told])).sum())
+        answers = self.answers
+        counted = seen.answered * np.log(answers) + seen.silent * np.log1p(-answers * seen.felt)
+        return float(counted.sum() - 0.5 * (square + np.log(spread[told])).sum())
 
 
 class SkinFit:
@@ -78,25 +99,29 @@ class SkinFit:
         """Of M taxels whose readings have the errors `noise` until more is known; from a
         calibration, or of a skin of which no more is known than its kind."""
         ones = np.ones(taxels)
-        gain, onset, self.bend = ones, 0.0 * ones, 0.0
+        gain, onset, answers, self.bend = ones, 0.0 * ones, ANSWERS * ones, 0.0
         sd = np.stack([float(noise.gain_cv) * ones, ONSET_SD * ones])
         if calibration is not None:
             gain, onset, self.bend = calibration.gain, calibration.onset, calibration.bend
+            answers = np.clip(calibration.answers, 1.0 - ANSWERS, ANSWERS)
             sd = np.stack([calibration.gain_sd, calibration.onset_sd])
         sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * SAG_SD * ones])
         self.lessons = 0  # lessons that were kept
         self._noise, self._usual = noise, np.median(sd**2, axis=1)
-        self.restore(np.vstack([gain, onset, np.log(SAG_M) * ones, sd]))
+        count = ANSWERED * np.stack([answers, 1.0 - answers])
+        self.restore(np.vstack([gain, onset, np.log(SAG_M) * ones, sd, count]))
 
     @property
     def values(self) -> Floats:
-        """(6, M) means of gain, onset and the logarithm of the sag's length, then their sds."""
-        return np.vstack([self.fit.mean, np.sqrt(self.fit.cov[np.arange(3), np.arange(3)])])
+        """(8, M) means of gain, onset and the logarithm of the sag's length, their sds, and counts
+        of presses that were answered and that were not."""
+        sd = np.sqrt(self.fit.cov[np.arange(3), np.arange(3)])
+        return np.vstack([self.fit.mean, sd, self.fit.count])
 
     def restore(self, values: Floats) -> None:
         """Go on from `values` of before a restart."""
-        cov = np.eye(3)[:, :, None] * values[3:] ** 2
-        self.fit = TaxelFit(values[:3], cov)
+        cov = np.eye(3)[:, :, None] * values[3:6] ** 2
+        self.fit = TaxelFit(values[:3], cov, values[6:])
         self._trial: TaxelFit | None = None
 
     @property
@@ -104,6 +129,11 @@ class SkinFit:
         """The median of the learned gains; 1 without any."""
         known = self.fit.cov[0, 0] < KNOWN**2 * self._usual[0]
         return float(np.median(self.fit.mean[0, known])) if known.any() else 1.0
+
+    @property
+    def share(self) -> float:
+        """Mean share of presses that taxels answer."""
+        return float(self.fit.answers.mean())
 
     @property
     def noise(self) -> Noise:
@@ -116,6 +146,7 @@ class SkinFit:
             outliers=usual.outliers,
             sag_m=np.exp(self.fit.mean[2]),
             sag_sd=np.sqrt(cov[2, 2] + (1.0 - OWN) * SAG_SD**2),
+            answers=self.fit.answers,
         )
 
     def teach(self, lesson: Lesson) -> bool:
@@ -144,4 +175,18 @@ class SkinFit:
         variance = own / rise**2 + lesson.variance + of_press
         told = lesson.live & (felt | unfelt)
         value = off + np.einsum("kim,im->km", slope, self.fit.mean)
-        return LinearLesson(value, slope, np.where(told, variance, np.inf))
+        noise, answers = self.noise, self.fit.answers
+        spread = noise.variance(h) + lesson.variance + np.square(noise.sag_sd * lesson.by_sag)
+        over = (h - lesson.floor) / np.sqrt(spread)
+        unseen = normal_cdf(-over)
+        may_answer = answers * unseen / (1.0 - answers + answers * unseen)
+        variance /= np.where(unfelt, may_answer, 1.0)  # a silence tells no depth
+        share = lesson.share[:, None] * (lesson.live & (over > FIRM))
+        return LinearLesson(
+            value=value,
+            slope=slope,
+            variance=np.where(told, variance, np.inf),
+            answered=share * (z > 0.0),
+            silent=share * (z == 0.0),
+            felt=1.0 - unseen,
+        )

@@ -34,6 +34,7 @@ BESIDE_M = np.array([-0.008, -0.005, -0.0025, 0.0025, 0.005, 0.008])  # distance
 SHALLOW, DEEP = 0.04, 0.97  # shares of full depth between which readings are used
 FIRM = 0.2  # full scales: a reading so strong is missed where the fit expects no press
 MISSED_COST = 4.0  # cost of a missed reading: no fit gains by missing it
+SILENT_COST = 1.0  # cost of a firm press that a taxel does not answer
 LEAST_COSINE = 0.6  # between a taxel's normal and the shortest way out of the object
 STEP_M, STEP = 1e-4, 1e-3  # for differences: along x and y, and of all other unknowns
 POSE_STEP = np.array([STEP_M, STEP_M, STEP])
@@ -76,6 +77,7 @@ class HeldTerms(NamedTuple):
     sd: Floats  # sd of each reading [counts]
     used: Bools  # readings
     missed: Bools  # readings
+    silent: Bools  # readings of taxels that do not answer a firm press
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +150,8 @@ class CalibrationFit:
         variance[gains] += variance[0] + 2.0 * covariance[0, gains]
         x, held = self._values(u), self._conditions(u)
         terms, missed = self._terms(u, held), np.count_nonzero(held.missed)
-        cost = (np.hypot(1.0, terms) - 1.0).sum() + MISSED_COST * missed
+        silent = np.count_nonzero(held.silent)
+        cost = (np.hypot(1.0, terms) - 1.0).sum() + MISSED_COST * missed + SILENT_COST * silent
         weight = np.zeros_like(held.sd)
         weight[held.used] = 1.0 / np.hypot(1.0, terms[: -len(u)])
         depth = depths(self._model, self._seen(x))
@@ -159,7 +162,7 @@ class CalibrationFit:
             expected=_expected(x, depth),
             weight=weight,
             cost=float(cost),
-            left=float(cost / max(len(terms) - len(u) + missed, 1)),
+            left=float(cost / max(len(terms) - len(u) + missed + silent, 1)),
         )
 
     def _values(self, u: Floats) -> Unknowns:
@@ -176,9 +179,10 @@ class CalibrationFit:
         q, full, live = self._seen(x), np.exp(x.log_full), self._presses.live
         depth, doubt = depths(self._model, q), _doubt(self._model, q)
         variance = self._noise**2 / 4.0 + (MODEL_SD * full) ** 2 + (doubt * full) ** 2
-        used = (depth > SHALLOW) & (depth < DEEP) & live
+        silent = (depth > FIRM) & (self._presses.counts < SHALLOW * full) & live
+        used = (depth > SHALLOW) & (depth < DEEP) & live & ~silent
         missed = (depth <= SHALLOW) & (self._presses.counts > (FIRM + doubt) * full) & live
-        return HeldTerms(_cosine(self._model, q), np.sqrt(variance), used, missed)
+        return HeldTerms(_cosine(self._model, q), np.sqrt(variance), used, missed, silent)
 
     def _terms(self, u: Floats, held: HeldTerms) -> Floats:
         """What is squared and added: residuals of the used readings in sd, in row order, and the

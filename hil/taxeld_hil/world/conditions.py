@@ -18,6 +18,7 @@ class Conditions:
     keys: tuple[tuple[str, Any], ...] = ()  # of MeshConfig, in place of the foam's own
     dead_share: float = 0.0  # share of scattered taxels that never answer
     dead_modules: int = 0  # modules that never answer
+    answers: float = 1.0  # mean share of presses that a taxel answers; each has a share of its own
     stuck: int = 0  # taxels that read the same from the first touch on
     stuck_at: float = 1.0  # what they read, in full scales
     drift: float = 0.0  # of each taxel's baseline, up or down at most [full scales a minute]

@@ -34,6 +34,7 @@ STILL = 3.0  # standard deviations beyond which no baseline is drawn: it must st
 P90 = 1.2815515655446004  # the 90th percentile of a standard normal
 FARTHEST = 2.0  # standard deviations: nothing is drawn beyond the 2nd and the 98th percentile
 TURN = 0.1  # travel back, in full scales, after which the foam is on its other branch
+ALIKE = 1.4  # how alike taxels are in their shares of answers: a and b of their beta add up to it
 LEAST_SLOPE = 0.1  # least slope of a response: a harder press reads more
 
 Body = Callable[[Poses, Floats], Floats]
@@ -187,6 +188,11 @@ class SimulatedSkin:
         names, module = np.unique(layout.uid >> 4, return_inverse=True)
         gone = faults.permutation(len(names))[: given.dead_modules]
         self._dead = np.isin(module, gone) | np.isin(np.arange(taxels), scattered)
+        self._answers, self._silence = np.ones(taxels), rng.spawn(1)[0]
+        if given.answers < 1.0:
+            share = ALIKE * given.answers
+            self._answers = self._silence.beta(share, ALIKE - share, taxels)
+        self._silent = self._silence.random(taxels) >= self._answers
 
     def calibration(self, depth_m: float) -> Calibration:
         """What a calibration would tell of it, as exact as one can be; `depth_m`: of a press at
@@ -213,6 +219,7 @@ class SimulatedSkin:
             onset_sd=zeros,
             noise_counts=given.skin.noise_counts[0] + zeros,
             frozen=zeros > 0.0,
+            answers=self._answers,
         )
 
     def press(self, seen: Poses, t: float) -> Floats:
@@ -223,11 +230,14 @@ class SimulatedSkin:
         if was_pressed and not self.depth.any():
             self._sag_m.draw()
             self._foam.end()
+            self._silent = self._silence.random(len(self.depth)) >= self._answers
         if not self.depth.any() and not self._foam.is_felt:
             return np.zeros(len(self.depth))
         ideal = response(self.depth, self._bend, self._onset)
         counts = self.full_scale * self._foam.press(ideal, t)
-        return np.asarray(counts + self._cross_talk @ counts)
+        counts += self._cross_talk @ counts
+        counts[self._silent] = 0.0
+        return counts
 
     def counts(self, seen: Poses, t: float, *, touching: bool) -> list[int]:
         """One scan, channel by channel, as of `press`; 0 where a taxel is dead. `touching`: whether
