@@ -27,10 +27,7 @@ ONSET_SD = 0.5  # sd of a taxel's onset before anything is learned
 WITHIN = 0.5  # share of the variance of readings in a lesson that no curve explains
 KNOWN = 0.7  # share of the usual sd: a taxel whose gain is known better was learned
 LEAST_SD = 0.02  # least sd of a gain or onset
-# sd of a known gain, for the filter: with 0.05 to 0.08 and less noise, 2 to 4 of 93 laps of a mug
-# had a silent failure
-GAIN_KNOWN = 0.13
-GAIN_WITHIN = 0.08  # sd of a reading in proportion to it, however well the gain is known
+WITHIN_CV = 0.08  # sd of a reading in proportion to it, however well the gain is known
 OWN = 0.5  # share of the sag's variance that is the taxel's own; the rest is a press's
 ROBUST = 2.0  # standard deviations beyond which a reading teaches less (Huber 1964)
 LEAST = np.array([[0.4], [-0.9], [np.log(2e-4)]])  # least gain, onset, log length
@@ -100,14 +97,16 @@ class SkinFit:
         calibration, or of a skin of which no more is known than its kind."""
         ones = np.ones(taxels)
         gain, onset, answers, self.bend = ones, 0.0 * ones, ANSWERS * ones, 0.0
-        sd = np.stack([float(noise.gain_cv) * ones, ONSET_SD * ones])
+        self._within = min(WITHIN_CV, float(noise.gain_cv))
+        sd = np.stack([np.sqrt(noise.gain_cv**2 - self._within**2) * ones, ONSET_SD * ones])
         if calibration is not None:
             gain, onset, self.bend = calibration.gain, calibration.onset, calibration.bend
             answers = np.clip(calibration.answers, 1.0 - ANSWERS, ANSWERS)
+            self._within = float(noise.gain_cv)
             sd = np.stack([calibration.gain_sd, calibration.onset_sd])
         sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * SAG_SD * ones])
         self.lessons = 0  # lessons that were kept
-        self._noise, self._usual = noise, np.median(sd**2, axis=1)
+        self._noise, self._usual = noise, np.median(sd[0])
         count = ANSWERED * np.stack([answers, 1.0 - answers])
         self.restore(np.vstack([gain, onset, np.log(SAG_M) * ones, sd, count]))
 
@@ -127,7 +126,7 @@ class SkinFit:
     @property
     def gain(self) -> float:
         """The median of the learned gains; 1 without any."""
-        known = self.fit.cov[0, 0] < KNOWN**2 * self._usual[0]
+        known = self.fit.cov[0, 0] < (KNOWN * self._usual) ** 2
         return float(np.median(self.fit.mean[0, known])) if known.any() else 1.0
 
     @property
@@ -139,10 +138,9 @@ class SkinFit:
     def noise(self) -> Noise:
         """The errors of each taxel's readings about its curve, (M,)."""
         cov, usual = self.fit.cov, self._noise
-        gain_cv = usual.gain_cv * np.sqrt(cov[0, 0] / self._usual[0])
         return Noise(
             sigma=usual.sigma,
-            gain_cv=np.maximum(gain_cv, np.minimum(GAIN_KNOWN, usual.gain_cv)),
+            gain_cv=np.sqrt(cov[0, 0] + self._within**2),
             outliers=usual.outliers,
             sag_m=np.exp(self.fit.mean[2]),
             sag_sd=np.sqrt(cov[2, 2] + (1.0 - OWN) * SAG_SD**2),
@@ -170,7 +168,7 @@ class SkinFit:
         unfelt = (z == 0.0) & (h > lesson.floor)
         off = np.where(felt, z - h, np.where(unfelt, lesson.floor - h, 0.0))
         slope = np.stack([reads / (gain * rise), deviation(h) / rise, lesson.by_sag], axis=1)
-        own = WITHIN * np.square(self._noise.sigma) + np.square(GAIN_WITHIN * h)
+        own = WITHIN * np.square(self._noise.sigma) + np.square(self._within * h)
         of_press = (1.0 - OWN) * np.square(SAG_SD * lesson.by_sag)
         variance = own / rise**2 + lesson.variance + of_press
         told = lesson.live & (felt | unfelt)

@@ -1,7 +1,7 @@
 """`taxeld calibrate`: entered by the `taxeld` command, which holds its options.
 
 A skin on a robot is recorded while the user is told what to do next. A session becomes the
-calibration's file, and beside it the result in words and as a picture.
+calibration's file, and beside it the result in words.
 """
 
 import argparse
@@ -33,7 +33,6 @@ from taxeld_hil.calibration.calibrate import (
     sides,
     uncalibrated,
 )
-from taxeld_hil.calibration.picture import draw
 from taxeld_hil.calibration.presses import Observer
 from taxeld_protocol.decoder import Scan
 
@@ -68,12 +67,12 @@ def run(args: argparse.Namespace) -> int:
         directory = guided.directory
     placed = None if args.object is None else np.array(args.object)
     _say(_write(of_session(directory, config, placed), args.out))
-    _say(f"written: {args.out}, and beside it a text and a picture")
+    _say(f"written: {args.out}, and beside it a text")
     return 0
 
 
 def _write(result: Result, out: Path) -> str:
-    """Write the three files; → the text. Raises SetupError where they cannot be written."""
+    """Write both files; → the text. Raises SetupError where they cannot be written."""
     c, layout = result.calibration, result.model.layout
     head = f"calibration of {layout.name}, {len(layout)} taxels, on {c.object}"
     text = "\n".join([head, *rules.lines(result.rules)])
@@ -81,7 +80,6 @@ def _write(result: Result, out: Path) -> str:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(calibration_file.dump(c, layout), encoding="utf-8")
         out.with_suffix(".txt").write_text(text + "\n", encoding="utf-8")
-        draw(result, out.with_suffix(".png"))
     except OSError as error:
         raise SetupError(
             f"--out: cannot write {error.filename or out} ({error.strerror})"
