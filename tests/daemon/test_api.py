@@ -2,7 +2,6 @@
 
 import re
 import shutil
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from .. import pages
 ROOT = Path(__file__).parents[2]
 PAGE, NOTEBOOK = ROOT / "docs" / "api.md", ROOT / "examples" / "belief.ipynb"
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
-PACKAGES = ("taxeld_protocol", "taxeld", "taxeld_training", "taxeld_hil", "taxeld_ros2")
 
 
 @pytest.fixture
@@ -31,11 +29,6 @@ def test_every_public_name_is_there_and_says_what_it_is(name: str) -> None:
     found = getattr(api, name)
     assert found.__doc__
     assert not found.__doc__.startswith(f"{name}(")  # what a dataclass has without a docstring
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_each_package_says_that_it_has_types(package: str) -> None:
-    assert (resources.files(package) / "py.typed").is_file()
 
 
 def plain(text: str) -> str:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import se2
-from taxeld_hil.calibration.calibrate import KNOWN_GAIN_SD, answers_of, errors_of, fitted
+from taxeld_hil.calibration.calibrate import KNOWN_GAIN_SD, errors_of, fitted
 from taxeld_hil.calibration.fit import FIRM, FitResult, likeliest
 from taxeld_hil.calibration.presses import LEAST_SCANS, MOST_SCANS, Presses, PressFinder
 from tests.hil.rig import MODEL, PLACED, SKIN, PressedSkin
@@ -76,7 +76,7 @@ def test_taxels_that_answer_some_presses_alone_spoil_neither_mount_nor_gains() -
     assert np.hypot(*(fit.value.mount - skin.mount)[:2]) < 5e-4
     assert np.median(gain_off(fit, skin)[fit.sd.log_gain < KNOWN_GAIN_SD]) < 0.04
     firm = (fit.depth > FIRM).sum(axis=0) > 2
-    assert np.corrcoef(answers_of(presses, fit)[firm], answers[firm])[0, 1] > 0.7
+    assert np.corrcoef(fit.answers[firm], answers[firm])[0, 1] > 0.7
 
 
 @pytest.mark.check

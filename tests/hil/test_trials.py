@@ -16,7 +16,7 @@ from taxeld.proposals import bundle, choice
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.trials.case import SHIPPED, TABLED, Case
+from taxeld_hil.trials.case import SHIPPED, Case
 from taxeld_hil.trials.play import SCAN_S, TICK_S, Direct, play
 from taxeld_hil.world import plan
 from taxeld_hil.world.conditions import Conditions
@@ -262,13 +262,3 @@ def test_a_trial_has_a_row_a_touch_by_any_guide(given: dict[str, Any]) -> None:
     found = play(Case((BOX,), touches=3, **given), 1)
     assert len(found) == 3
     assert (found[-1].guide_ms > 0.0) == (given.get("guide") == "advised")
-
-
-def test_the_uninformed_baseline_is_farther_off_after_two_touches() -> None:
-    """What the inverse model is for: with the same particles, projection needs more touches."""
-    case = Case((BOX,), touches=2)
-    off = [
-        np.median([play(each, seed)[1].error_mm for seed in range(12)])
-        for each in (case, replace(case, method=replace(TABLED, proposal="projection")))
-    ]
-    assert off[0] < 0.5 * off[1]

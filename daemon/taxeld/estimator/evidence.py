@@ -31,7 +31,6 @@ MEANINGLESS = 1e-3  # probability that a contact has nothing to do with the obje
 LEAST = float(np.log(MEANINGLESS))
 FINE = np.array([0.004, 0.004, 0.06])  # m, m, rad: cells that measure the room that a belief takes
 OTHER = -1.0  # log odds of another object before anything is felt
-FADED = 1e3  # nats that a run loses at most when scans are forgotten
 ALIKE = 3.0  # nats a contact after its first, by which another object explains itself better
 
 
@@ -73,9 +72,9 @@ def inherited(belief: Belief, before: Runs, fewer: Runs, explained: Floats) -> F
     heirs = np.flatnonzero(np.isfinite(left))
     shares, heir = np.full(len(heirs), -np.inf), np.searchsorted(fewer.step[heirs], before.step)
     np.logaddexp.at(shares, np.minimum(heir, len(heirs) - 1), held)
-    gained = np.maximum(shares - left[heirs], -FADED)
     # a step without a contact yet, where no run can begin, gains as the run before it
-    return np.asarray(gained[np.searchsorted(heirs, np.arange(len(left)), side="right") - 1])
+    own = np.searchsorted(heirs, np.arange(len(left)), side="right") - 1
+    return np.asarray((shares - left[heirs])[own])
 
 
 class ObjectEvidence(NamedTuple):

@@ -121,7 +121,11 @@ class LinkStage:
                 "poses": self.poses.taken,
                 "poses_rejected": self.poses.rejected,
             },
-            "skin": {**asdict(skin.counters), "gain": skin.fit.gain, "answers": skin.fit.share},
+            "skin": {
+                **asdict(skin.counters),
+                "gain": skin.fit.gain,
+                "answers": float(skin.fit.fit.answers.mean()),
+            },
             "modules": {"layout": len(skin.wiring.suis), "foreign": len(skin.wiring.foreign)},
             **skin.faults(),
         }

@@ -32,8 +32,9 @@ OWN = 0.5  # share of the sag's variance that is the taxel's own; the rest is a 
 ROBUST = 2.0  # standard deviations beyond which a reading teaches less (Huber 1964)
 LEAST = np.array([[0.4], [-0.9], [np.log(2e-4)]])  # least gain, onset, log length
 MOST = np.array([[2.5], [3.0], [np.log(0.012)]])
-ANSWERS = 0.998  # mean share of presses that a taxel answers, before anything is learned
+ANSWERS = 0.95  # mean share of presses that a taxel answers, before anything is learned
 FIRM = 2.0  # standard deviations over the floor of an expected depth that must be answered
+SURE = 0.998  # greatest share that is taken from a calibration
 ANSWERED = 2.0  # presses that this mean, or a calibration's, counts for
 
 
@@ -101,7 +102,7 @@ class SkinFit:
         sd = np.stack([np.sqrt(noise.gain_cv**2 - self._within**2) * ones, ONSET_SD * ones])
         if calibration is not None:
             gain, onset, self.bend = calibration.gain, calibration.onset, calibration.bend
-            answers = np.clip(calibration.answers, 1.0 - ANSWERS, ANSWERS)
+            answers = np.clip(calibration.answers, 1.0 - SURE, SURE)
             self._within = float(noise.gain_cv)
             sd = np.stack([calibration.gain_sd, calibration.onset_sd])
         sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * SAG_SD * ones])
@@ -128,11 +129,6 @@ class SkinFit:
         """The median of the learned gains; 1 without any."""
         known = self.fit.cov[0, 0] < (KNOWN * self._usual) ** 2
         return float(np.median(self.fit.mean[0, known])) if known.any() else 1.0
-
-    @property
-    def share(self) -> float:
-        """Mean share of presses that taxels answer."""
-        return float(self.fit.answers.mean())
 
     @property
     def noise(self) -> Noise:

@@ -16,16 +16,7 @@ from taxeld.model.observation import ObservationModel
 from taxeld.model.response import Inverse
 from taxeld.skin.calibration import Calibration, skin_digest
 from taxeld.source import session
-from taxeld_hil.calibration.fit import (
-    FIRM,
-    SEARCHED,
-    SHALLOW,
-    CalibrationFit,
-    FitResult,
-    Start,
-    likeliest,
-    seen,
-)
+from taxeld_hil.calibration.fit import SEARCHED, CalibrationFit, FitResult, Start, likeliest, seen
 from taxeld_hil.calibration.presses import Observer, Presses
 from taxeld_hil.rules import Rule, at_least, require
 
@@ -36,7 +27,6 @@ LEAST_PRESSES = 12
 LEAST_SIDES = 4  # sides of the skin that must be pressed, of eight
 MOST_LEFT = 1.0  # `FitResult.left` of a right model is 0.3 to 0.7, of a wrong one 1.5 and more
 KNOWN_MOUNT = np.array([0.0015, 0.0015, np.radians(1.0)])  # largest sd of a mount: m, m, rad
-ALIKE = 1.4  # presses of its own with which a taxel's share of answers departs from that of all
 FOLDS = 5  # parts of the presses; each is judged by a fit to all others
 SIGMAS = np.geomspace(0.005, 0.12, 14)
 GAIN_CVS = np.linspace(0.0, 0.3, 11)
@@ -95,7 +85,7 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
     stuck[skin.faults()["stuck_taxels"]] = True
     presses = replace(presses, live=presses.live & ~stuck)
     fit = fitted(model, presses, noise, where, given=given)
-    errors = errors_of(model, presses, noise, fit)
+    errors = errors_of(model, replace(presses, live=presses.live & ~fit.silent), noise, fit)
     value, sd, layout = fit.value, fit.sd, model.layout
     calibration = Calibration(
         t=observer.t,
@@ -117,7 +107,7 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
         onset_sd=sd.onset,
         noise_counts=noise,
         frozen=stuck,
-        answers=answers_of(presses, fit),
+        answers=fit.answers,
     )
     at_rest = f"{np.median(noise):.1f} counts (median), {noise.max():.1f} at most"
     rules = [
@@ -130,14 +120,6 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
         *_values(calibration, fit, given=given),
     ]
     return Result(calibration, model, presses, fit, rules)
-
-
-def answers_of(presses: Presses, fit: FitResult) -> Floats:
-    """(M,) share of the firm presses that each taxel answers: the mean of a beta distribution."""
-    firm = (fit.depth > FIRM) & presses.live
-    answered = firm & (presses.counts >= SHALLOW * np.exp(fit.value.log_full))
-    of_all = answered.sum() / max(firm.sum(), 1)
-    return np.asarray((answered.sum(axis=0) + ALIKE * of_all) / (firm.sum(axis=0) + ALIKE))
 
 
 def uncalibrated(config: Config) -> Config:
@@ -262,7 +244,6 @@ def errors_of(model: ObservationModel, presses: Presses, noise: Floats, fit: Fit
         there = seen(part.sensor, value.mount, value.object)
         expected.append(model.activation(there)[part.live])
     z, h = np.concatenate(readings), np.concatenate(expected)
-    # all noises are alike for a reading of an untouched taxel, and none explains a silent one
-    told = (z > 0.0) | ((h > 0.0) & (h <= FIRM))
+    told = (z > 0.0) | (h > 0.0)  # all noises are alike for the other readings
     tried = [Noise(float(sigma), float(cv)) for sigma in SIGMAS for cv in GAIN_CVS]
     return max(tried, key=lambda noise: noise.log_density(z[told], h[told]).sum())

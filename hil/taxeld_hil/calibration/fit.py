@@ -35,6 +35,7 @@ SHALLOW, DEEP = 0.04, 0.97  # shares of full depth between which readings are us
 FIRM = 0.2  # full scales: a reading so strong is missed where the fit expects no press
 MISSED_COST = 4.0  # cost of a missed reading: no fit gains by missing it
 SILENT_COST = 1.0  # cost of a firm press that a taxel does not answer
+ALIKE = 1.4  # presses by which a taxel's share of answers departs from that of all
 LEAST_COSINE = 0.6  # between a taxel's normal and the shortest way out of the object
 STEP_M, STEP = 1e-4, 1e-3  # for differences: along x and y, and of all other unknowns
 POSE_STEP = np.array([STEP_M, STEP_M, STEP])
@@ -88,6 +89,8 @@ class FitResult:
     sd: Unknowns  # `log_gain`: of gain and full scale together
     depth: Floats  # (K, M) shares of full depth
     expected: Floats  # (K, M) counts
+    silent: Bools  # (K, M) taxels that do not answer a firm press
+    answers: Floats  # (M,) share of firm presses that each taxel answers, the mean of a beta
     weight: Floats  # (K, M) of each reading: 0 if it was not used, less than 1 far from the fit
     cost: float  # the likeliest of several fits has the least
     left: float  # the cost of a reading, in the mean
@@ -155,11 +158,16 @@ class CalibrationFit:
         weight = np.zeros_like(held.sd)
         weight[held.used] = 1.0 / np.hypot(1.0, terms[: -len(u)])
         depth = depths(self._model, self._seen(x))
+        firm = (depth > FIRM) & self._presses.live
+        answered = firm & ~held.silent
+        of_all = answered.sum() / max(firm.sum(), 1)
         return FitResult(
             value=x,
             sd=Unknowns(*np.split(np.sqrt(np.maximum(variance, 0.0)), self._cuts)),
             depth=depth,
             expected=_expected(x, depth),
+            silent=held.silent,
+            answers=(answered.sum(axis=0) + ALIKE * of_all) / (firm.sum(axis=0) + ALIKE),
             weight=weight,
             cost=float(cost),
             left=float(cost / max(len(terms) - len(u) + missed + silent, 1)),

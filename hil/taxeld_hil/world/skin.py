@@ -189,8 +189,7 @@ class SimulatedSkin:
         gone = faults.permutation(len(names))[: given.dead_modules]
         self._dead = np.isin(module, gone) | np.isin(np.arange(taxels), scattered)
         self._answers, self._silence = np.ones(taxels), rng.spawn(1)[0]
-        if given.answers < 1.0:
-            share = ALIKE * given.answers
+        if (share := ALIKE * given.answers) < ALIKE:
             self._answers = self._silence.beta(share, ALIKE - share, taxels)
         self._silent = self._silence.random(taxels) >= self._answers
 
