@@ -25,7 +25,7 @@ SHORT = """\
 bundle = "box"
 contacts = 3
 expect = {found = false}
-fault = [{kind = "subscriber_dead", at_s = 2.0}]
+fault = [{kind = "flooded", at_s = 2.0}]
 """
 
 

@@ -26,8 +26,7 @@ def jobs(base: Scenario, seed: int, minutes: int, *, real: bool) -> list[Job]:
         SetupError: the bundle or the layout cannot be found or read.
     """
     if real:
-        kinds = (*laps.KINDS, "subscriber_dead")
-        return [runs.of("soak", laps.lap(base, seed, 0, minutes, kinds), seed, real=True)]
+        return [runs.of("soak", laps.lap(base, seed, 0, minutes), seed, real=True)]
     return [
         runs.of(f"lap {number}", laps.lap(base, seed, number), seed + number)
         for number in range(minutes)

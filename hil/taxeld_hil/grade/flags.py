@@ -144,9 +144,7 @@ def _signs(run: Run, got: Reception, fault: Fault, taxels: Sequence[int]) -> dic
     after = within & (t >= fault.end_s)
     last_stop_s = t[after & stopped].max(initial=-np.inf)
     usable = t[after & ~stopped & (t > last_stop_s) & np.isin(e.why, USABLE)][:1].tolist()
-    back = [at for at, kind in got.returns if kind == fault.kind and fault.end_s < at < close_s][:1]
-    back += [at for at, in_list in listed if in_list and at > fault.end_s][-1:]
-    is_back = usable and (back or fault.kind != "subscriber_dead")
+    back = [at for at, in_list in listed if in_list and at > fault.end_s][-1:]
     stops = (other for other in scenario.fault if other.kind in STOPPING)
     overlapped = any(other.at_s < fault.end_s < other.end_s for other in stops)
     return {
@@ -157,7 +155,7 @@ def _signs(run: Run, got: Reception, fault: Fault, taxels: Sequence[int]) -> dic
         "within_s": flag.within_s if flag else None,
         "injected": fault.kind not in run.not_injected,
         "detected_s": min(shown) - fault.at_s if shown else None,
-        "recovered_s": max(usable + back) - fault.end_s if is_back and not overlapped else None,
+        "recovered_s": max(usable + back) - fault.end_s if usable and not overlapped else None,
         "doubted": bool(not usable and np.isin(e.status[t < close_s][-1:], DOUBTS).any()),
         "overlapped": overlapped or (not usable and close_s < fault.end_s + window_s),
     }

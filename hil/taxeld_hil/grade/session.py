@@ -1,8 +1,8 @@
 """What a run leaves in its session beside what the skin and the robot sent.
 
 `published.msgpack` has the daemon's messages as a subscriber got them, each `[t, topic, body]` at
-scenario time t, and a killed process's return as `[t, kind of fault, b""]`. `run.json` says which
-run it was, with the scenario, its faults and the ledger of what was sent; it is written last.
+scenario time t. `run.json` says which run it was, with the scenario, its faults and the ledger of
+what was sent; it is written last.
 """
 
 import json
@@ -66,7 +66,7 @@ def read_run(directory: Path) -> Run:
     return Run(scenario=scenario, **values)
 
 
-def add(published: BinaryIO, t: float, topic: bytes, body: bytes = b"") -> None:
+def add(published: BinaryIO, t: float, topic: bytes, body: bytes) -> None:
     """Append what a subscriber gets."""
     published.write(msgpack.packb((t, topic, body)))
 
@@ -76,7 +76,6 @@ class Reception(NamedTuple):
 
     estimates: Any  # recarray (N,): `at` (scenario time), KEYS, POSE, stages, links
     health: list[tuple[float, Health]]
-    returns: list[tuple[float, str]]  # of killed processes
 
     def lost(self, link: int) -> Any:
         """(N,) whether one of several links did not work, whatever the others did."""
@@ -90,22 +89,20 @@ def read(directory: Path, links: int) -> Reception:
     Raises:
         SetupError: it cannot be read.
     """
-    rows, health, returns = array("d"), list[tuple[float, Health]](), list[tuple[float, str]]()
+    rows, health = array("d"), list[tuple[float, Health]]()
     try:
         with (directory / PUBLISHED).open("rb") as file:
             for at, topic, body in msgpack.Unpacker(file):
                 if topic == topics.ESTIMATE:
                     rows.extend(_row(at, msgpack.unpackb(body)))
-                elif topic == topics.HEALTH:
-                    health.append((at, msgpack.unpackb(body)))
                 else:
-                    returns.append((at, topic.decode()))
+                    health.append((at, msgpack.unpackb(body)))
     except (OSError, ValueError, msgpack.UnpackException) as error:
         raise SetupError(f"{directory / PUBLISHED}: cannot be read ({error})") from None
     of_links = [f"link {k}" for k in range(links if links > 1 else 0)]
     names = ["at", *KEYS, *POSE, *messages.STAGES, *of_links]
     estimates = np.array(rows).view([(name, float) for name in names]).view(np.recarray)
-    return Reception(estimates, health, returns)
+    return Reception(estimates, health)
 
 
 def _row(at: float, e: dict[str, Any]) -> list[float]:

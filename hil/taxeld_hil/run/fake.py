@@ -205,9 +205,9 @@ class FakeRun(SessionRun):
         self.scenario, self.seed = scenario, seed
         self.rigs = rigs_of(scenario, seed)
         self.rig = self.rigs[0]
-        # there are no sockets, and no adapter
+        # there is no adapter
         of_frames = OF_FRAMES if self.rig.is_array else ()
-        self.not_injected = "subscriber_dead", "adapter_closed", *of_frames
+        self.not_injected = "adapter_closed", *of_frames
         apart = [[rig] for rig in self.rigs]
         self.lines = [MemoryLine(*on) for on in ([self.rigs] if scenario.one_bus else apart)]
         self.line = self.lines[0]

@@ -43,7 +43,7 @@ NOT_INJECTED = {  # transport → kinds of faults
     "array": OF_FRAMES,
 }
 TARGETS = {"can": "can", "serial": "native", "slcan": "slcan"}  # the target's kind → transport
-ON_HARDWARE = ("daemon_killed", "subscriber_dead")  # kinds of faults that are possible there
+ON_HARDWARE = ("daemon_killed",)  # kinds of faults that are possible there
 HEADER = (
     "contact  taxels  modes       p  radius [mm]  likeliest x, y, yaw [mm, mm, deg]  error [mm]"
 )
@@ -52,18 +52,18 @@ Say = Callable[[str], None]
 
 
 class LiveDaemon(ExitStack):
-    """The daemon's process, which may be killed, and two subscribers of its streams: the harness's
-    own, and one that may die."""
+    """The daemon's process, which may be killed, and a subscriber of its streams."""
 
     def __init__(self, config: Path, place: Path) -> None:
         """`config`: its file, by which its sockets are in `place`."""
         super().__init__()
         self._command = [sys.executable, "-m", "taxeld.cli", "run", str(config)]
-        self._endpoint = f"ipc://{place}/stream"
-        self._context: zmq.Context[Any] = self.enter_context(zmq.Context())
-        self._own = self._subscriber(topics.ESTIMATE, topics.TAXELS, topics.HEALTH)
-        self._other = self._subscriber(topics.ESTIMATE)
-        self._is_new = False  # whether the other has taken a dead one's place, and heard nothing
+        context: zmq.Context[Any] = self.enter_context(zmq.Context())
+        self._own: zmq.Socket[Any] = self.enter_context(context.socket(zmq.SUB))
+        self._own.setsockopt(zmq.LINGER, 0)
+        for topic in (topics.ESTIMATE, topics.TAXELS, topics.HEALTH):
+            self._own.setsockopt(zmq.SUBSCRIBE, topic)
+        self._own.connect(f"ipc://{place}/stream")
         self._process: subprocess.Popen[bytes] | None = None
         self.callback(self._kill)
         self._start()
@@ -83,31 +83,21 @@ class LiveDaemon(ExitStack):
             yield topic, body
             wait_ms = 0
 
-    def act(self, fails: Callable[[str], bool]) -> list[str]:
-        """Kill and start what `fails` says of each kind of fault; → what has happened.
+    def act(self, *, is_dead: bool) -> str:
+        """Kill the daemon or start it; → which of it was done, if any.
 
         Raises:
             SetupError: the daemon has ended by itself; its own message says why.
         """
         if self._process is not None and (status := self._process.poll()) is not None:
             raise SetupError(f"the daemon ended early, with status {status}")
-        events = list[str]()
-        is_dead = fails("daemon_killed")
         if is_dead and self._process is not None:
             self._kill()
-            events.append("daemon killed")
-        elif not is_dead and self._process is None:
+            return "daemon killed"
+        if not is_dead and self._process is None:
             self._start()
-            events.append("daemon started")
-        if fails("subscriber_dead"):
-            self._other.close()
-        elif self._other.closed:
-            self._other, self._is_new = self._subscriber(topics.ESTIMATE), True
-        while not self._other.closed and self._other.poll(0):
-            self._other.recv_multipart()
-            events += ["subscriber back"] * self._is_new
-            self._is_new = False
-        return events
+            return "daemon started"
+        return ""
 
     def stop(self) -> None:
         """Raises SetupError where the daemon does not stop as asked."""
@@ -120,14 +110,6 @@ class LiveDaemon(ExitStack):
             raise SetupError(f"the daemon did not stop within {GRACE_S:g} s") from None
         if status:
             raise SetupError(f"the daemon ended with status {status}")
-
-    def _subscriber(self, *named: bytes) -> zmq.Socket[Any]:
-        made: zmq.Socket[Any] = self.enter_context(self._context.socket(zmq.SUB))
-        made.setsockopt(zmq.LINGER, 0)
-        for topic in named:
-            made.setsockopt(zmq.SUBSCRIBE, topic)
-        made.connect(self._endpoint)
-        return made
 
     def _start(self) -> None:
         self._process = subprocess.Popen(self._command)  # noqa: S603
@@ -142,7 +124,7 @@ class LiveDaemon(ExitStack):
 
 class LiveRun(SessionRun):
     """A run in real time. The operator's robot moves and touches, and the daemon listens to the
-    device. Nothing is injected into a real skin; the daemon and a subscriber can be killed."""
+    device. Nothing is injected into a real skin; the daemon can be killed."""
 
     clock, log_level = "real", "warning"
     not_injected = tuple(kind for kind in KINDS if kind not in ON_HARDWARE)
@@ -199,8 +181,7 @@ class LiveRun(SessionRun):
         with LiveDaemon(directory / session.CONFIG, place) as self.daemon:
             while not self._ends():
                 self._step()
-                for event in self.daemon.act(self._fails):
-                    self._on(event)
+                self._on(self.daemon.act(is_dead=self._fails("daemon_killed")))
                 if self.t == BEFORE_S and time.monotonic() - began > START_S:
                     cure = "'taxeld-hil accept' checks a skin"
                     raise SetupError(f"{self.target}: no scan came within {START_S:g} s; {cure}")
@@ -227,9 +208,7 @@ class LiveRun(SessionRun):
         return kind in ON_HARDWARE and any(fault.kind == kind for fault in on)
 
     def _on(self, event: str) -> None:
-        """Something has happened to the daemon or a subscriber."""
-        if event == "subscriber back" and self.published is not None:
-            add(self.published, self.t, b"subscriber_dead")
+        """What has happened to the daemon."""
 
     def _step(self) -> None:
         """Take what the daemon has published."""
@@ -322,7 +301,6 @@ class SimulatedRun(LiveRun):
         self._bench.step()
 
     def _on(self, event: str) -> None:
-        super()._on(event)
         if event == "daemon killed":
             self._bench.port.forget()
         elif event == "daemon started":  # another host will listen

@@ -24,9 +24,7 @@ KINDS = FRAMES + SKIN_KINDS + DEVICE + ROBOT
 DECEPTIVE = ("baseline_jump", "pose_late", "pose_jumping")  # look like a touch elsewhere
 
 
-def lap(
-    base: Scenario, seed: int, number: int, minutes: int = 1, kinds: tuple[str, ...] = KINDS
-) -> Scenario:
+def lap(base: Scenario, seed: int, number: int, minutes: int = 1) -> Scenario:
     """The scenario of a lap of so many minutes, or more where presses are long; a fault begins when
     those before it are over and recovered from."""
     rng = np.random.default_rng([seed, number])
@@ -39,7 +37,7 @@ def lap(
             at_s += float(rng.exponential(PAUSE_S))
             if at_s > begin_s + LAST_S:
                 break
-            faults.append(_fault(rng, str(rng.choice(kinds)), round(at_s, 2), modules, taxels))
+            faults.append(_fault(rng, str(rng.choice(KINDS)), round(at_s, 2), modules, taxels))
             at_s = faults[-1].end_s + base.expect.recovery_s + 1.0
     return replace(
         base,

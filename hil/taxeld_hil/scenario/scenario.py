@@ -39,7 +39,6 @@ KINDS = (
     "pose_frozen",
     "pose_late",
     "pose_jumping",
-    "subscriber_dead",
     "daemon_killed",
 )
 
