@@ -134,9 +134,7 @@ def test_a_key_that_is_gone_is_refused_with_what_replaces_it(name: str) -> None:
     assert faults(text) == [f"{name}: is gone; {GONE[name]}"]
 
 
-@pytest.mark.parametrize(
-    "text", ["a = ", "a = " + "[" * 100_000, f"a = {'9' * 5000}", "a = '\0'", "a." * 9 + "a = 1"]
-)
+@pytest.mark.parametrize("text", ["a = ", "a = " + "[" * 100_000, f"a = {'9' * 5000}", "a = '\0'"])
 def test_what_is_not_toml_is_one_line(text: str) -> None:
     assert [line.startswith("x.toml: not TOML: ") for line in faults(text)] == [True]
 

@@ -29,9 +29,7 @@ STANDARD_MAX, EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
 SHOWN = 60  # characters of a damaged line
 
 # Remote, FD and XL frames. Error frames look like data frames with an id above EXTENDED_MAX.
-_OTHER = re.compile(
-    r"(?:\(\d+\.\d+\)\s+(\S+)\s+)?[0-9A-F]{3,8}#(?:[R#]|[0-9A-F]{2}:)", re.ASCII | re.IGNORECASE
-)
+_OTHER = re.compile(r"(?:\(\d+\.\d+\) +(\S+) +)?[0-9A-Fa-f]{3,8}#(?:[R#]|[0-9A-Fa-f]{2}:)")
 
 Listed = tuple[tuple[int, ...], ...]  # as `source.modules`
 
@@ -134,18 +132,14 @@ def _items(path: Path, damage: Damage) -> Iterator[Frame | Chunk | None]:
 def _candump(file: BinaryIO, damage: Damage) -> Iterator[tuple[str, Frame | None]]:
     """The interface, if the log names any, and the frame of each line."""
     for number, text in _lines(file):
-        if logged := parse_logged(text):
-            on, frame = logged
-            if frame.can_id <= (EXTENDED_MAX if frame.extended else STANDARD_MAX):
-                yield on, frame
-                continue
-            if frame.extended:
-                yield on, None
-                continue
+        on, frame = parse_logged(text) or ("", None)
+        if frame and frame.can_id <= (EXTENDED_MAX if frame.extended else STANDARD_MAX):
+            yield on, frame
+        elif frame and frame.extended:
+            yield on, None
         elif other := _OTHER.match(text):
             yield other[1] or "", None
-            continue
-        if not text.isspace():
+        elif not text.isspace():
             damage.at(number, text)
 
 
