@@ -26,7 +26,6 @@ from taxeld.proposals.samples import Degraded
 from taxeld.service import loop
 from taxeld.service.clock import Ready
 from taxeld.service.loop import GATHERS, Daemon
-from taxeld.service.publisher import LAST
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages, topics
 from taxeld_protocol.decoder import Scan
@@ -278,16 +277,6 @@ def test_taxels_say_where_the_sensor_was_or_that_nobody_knows() -> None:
     nowhere = messages.taxels(felt, None, 7)
     assert nowhere["placed"] is False
     assert nowhere["sensor"] == {"x": 0.0, "y": 0.0, "theta": 0.0}
-
-
-def test_percentiles_are_of_the_last_scans_and_the_longest_is_since_start(daemon: Daemon) -> None:
-    publisher, zeros = daemon.publisher, {"p50": 0.0, "p99": 0.0, "max": 0.0}
-    assert publisher.percentiles() == zeros
-    values = np.random.default_rng(0).gamma(2.0, 300.0, 2 * LAST + 7)
-    for us in values:
-        publisher._took(us)
-    p50, p99 = np.percentile(values[-LAST:], (50, 99))
-    assert publisher.percentiles() == {"p50": p50, "p99": p99, "max": values.max()}
 
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"

@@ -3,7 +3,6 @@
 import json
 import math
 import time
-from collections import deque
 from collections.abc import Iterable
 from itertools import accumulate, count
 from pathlib import Path
@@ -24,12 +23,10 @@ from taxeld.proposals import choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
-from taxeld_protocol.decoder import Decoder, Scan
-from taxeld_protocol.frames import Frame
+from taxeld_protocol.decoder import Scan
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.configurations import configuration
 from tests.rig.recorded import write_session
-from tests.rig.sessions import items_of, poses_of
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.skins import SKIN
 from tests.rig.virtual_hub import frames_of, told
@@ -312,32 +309,6 @@ def recorded(box: Bundle, place: Path, by: float = 0.0) -> None:
                 answers = []
             else:
                 recorder.pose(event[0] + later, *event[1:])
-
-
-@pytest.mark.parametrize("tick_s", [0.004, 0.01, 0.033])
-def test_a_replay_gives_the_bytes_of_the_daemon_that_took_the_same_in_ticks(
-    box: Bundle, tmp_path: Path, tick_s: float
-) -> None:
-    recorded(box, tmp_path)
-    poses, frames = deque(poses_of(tmp_path)), deque(items_of(tmp_path))
-    modules = SimulatedSkin(SKIN).modules
-    pipeline, decoder = pipeline_of(box, ROBOT), Decoder(lambda _: modules)
-    live: list[Outcome] = []
-    now = START_S
-    while frames:
-        now += tick_s
-        while poses and poses[0][0] <= now:
-            pipeline.poses.add(*poses.popleft())
-        scans: list[Scan] = []
-        while frames and frames[0][0] <= now:
-            frame = frames.popleft()
-            assert isinstance(frame, Frame)
-            scans += decoder.feed(frame)[1]
-        live += pipeline.advance(scans, now)
-    live += pipeline.advance((), math.inf)
-    assert live[-1].estimate.contacts == 1
-    again = outcomes(tmp_path, pipeline_of(box, ROBOT))
-    assert json.dumps(published(live)) == json.dumps(published(again))
 
 
 def test_a_replay_gives_the_same_bytes_on_a_machine_of_any_speed(

@@ -1,13 +1,11 @@
 """`taxeld view`: a session's and a daemon's picture, and what stops it."""
 
-import contextlib
 import shutil
 import subprocess
 import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +19,6 @@ pytest.importorskip("rerun")
 import rerun as rr
 
 from taxeld.cli import main
-from taxeld.commands.running import Subscriber
-from taxeld.errors import WorkError
 from taxeld.layout import read as layouts
 from taxeld.stream import topics
 from taxeld.view import view
@@ -165,20 +161,6 @@ def test_a_daemon_that_is_restarted_with_more_objects_is_drawn_from_its_info_on(
 ) -> None:
     found = drawn(tmp_path / "x.rrd", daemon(restarted), "--seconds", "2.95")
     assert found["/world/object"] == found["/world/link/skin"] == 20
-
-
-@pytest.mark.parametrize("version", [1, None])
-def test_a_message_of_another_version_or_program_is_refused(
-    daemon: Callable[..., str], version: int | None
-) -> None:
-    def other(_: int, said: Maps) -> Maps:
-        said[topics.TAXELS]["v"] = version
-        return said
-
-    with contextlib.closing(Subscriber(daemon(other), TOPICS)) as streams:
-        heard = chain.from_iterable(streams.wait(WAIT_S) for _ in range(100))
-        with pytest.raises(WorkError, match=r"^/taxeld/taxels: is no message of the stream's v"):
-            list(heard)
 
 
 REFUSED = [
