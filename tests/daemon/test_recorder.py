@@ -1,7 +1,6 @@
 """What a recording leaves behind, however it ends: killed, with a full disk, or before it began."""
 
 import errno
-import logging
 import os
 import resource
 import signal
@@ -216,11 +215,14 @@ class File(recorders.FileIO):
         return int(super().write(data[:taken]))
 
 
-def test_a_full_disk_is_waited_for_and_costs_nothing_once_it_has_room(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("stays_full", [False, True])
+def test_a_full_disk_is_waited_for_and_costs_nothing_once_it_has_room_or_ends_the_recording(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    stays_full: bool,
 ) -> None:
-    disk, pose = Disk(monkeypatch), (1.0, 0.1, 0.2, 0.3)
-    caplog.set_level(logging.WARNING)
+    disk, pose, kept = Disk(monkeypatch), (1.0, 0.1, 0.2, 0.3), 2
     with Recorder(tmp_path / "s", moves=False) as recorder:
         recorder.take(frame(0))
         until(lambda: recorder.counters.frames == 1)
@@ -229,36 +231,20 @@ def test_a_full_disk_is_waited_for_and_costs_nothing_once_it_has_room(
             recorder.take(frame(number))
         until(lambda: len(caplog.messages) == 1)
         recorder.take(frame(6))
-        disk.free = 10**9
-        until(lambda: recorder.counters.frames == 7)
-        disk.free = 0
-        recorder.pose(*pose)  # needs a new file
-        until(lambda: len(caplog.messages) == 3 or recorder.counters.failed)
-        disk.free = 10**9
-        until(lambda: recorder.counters.poses == 1 or recorder.counters.failed)
-    assert recorder.counters.dropped == 0
-    assert caplog.messages == 2 * [
-        f"{tmp_path}/s: the recording waits (No space left on device)",
-        f"{tmp_path}/s: the recording goes on",
-    ]
-    assert read(tmp_path / "s") == ([frame(number) for number in range(7)], [pose])
-
-
-def test_a_disk_that_stays_full_ends_the_recording_with_its_last_whole_record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    disk = Disk(monkeypatch)
-    with Recorder(tmp_path / "s", moves=False) as recorder:
-        recorder.take(frame(0))
-        until(lambda: recorder.counters.frames == 1)
-        disk.free = 70  # one line and a half
-        recorder.take(frame(1))
-        recorder.take(frame(2))
-        until(lambda: len(caplog.messages) == 1)
-    assert recorder.counters.failed
-    assert recorder.counters.dropped == 2
-    assert "the recording has ended (No space left on device)" in caplog.messages[-1]
-    assert read(tmp_path / "s") == ([frame(0), frame(1)], [])
+        if not stays_full:
+            disk.free, kept = 10**9, 7
+            until(lambda: recorder.counters.frames == 7)
+            disk.free = 0
+            recorder.pose(*pose)  # needs a new file
+            until(lambda: len(caplog.messages) == 3 or recorder.counters.failed)
+            disk.free = 10**9
+            until(lambda: recorder.counters.poses == 1 or recorder.counters.failed)
+    waits = f"{tmp_path}/s: the recording waits (No space left on device)"
+    ends = f"{tmp_path}/s: the recording has ended (No space left on device); it replays up to here"
+    goes_on = 2 * [waits, f"{tmp_path}/s: the recording goes on"]
+    assert caplog.messages == ([waits, ends] if stays_full else goes_on)
+    assert recorder.counters.dropped == 6 * stays_full, "of the batch that began none counts"
+    assert read(tmp_path / "s") == ([frame(k) for k in range(kept)], [pose] * (not stays_full))
 
 
 def test_a_disk_that_hangs_costs_records_and_never_the_caller(
