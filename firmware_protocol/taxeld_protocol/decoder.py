@@ -137,13 +137,6 @@ class Decoder:
                 for packet in self.line.feed(item.data, item.t):
                     yield packet, self.on_packet(packet)
 
-    def feed(self, frame: Frame) -> tuple[Packet | None, list[Scan]]:
-        """The packet that the frame completes, and the scans that it ends: at most two."""
-        packet = self.link.feed(frame)
-        if packet is None:
-            return None, []
-        return packet, self.on_packet(packet)
-
     def drop_foreign(self, frames: int = 1) -> None:
         """Count frames that are no classic data frames."""
         self.link.counters.frames += frames

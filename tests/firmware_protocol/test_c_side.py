@@ -285,8 +285,8 @@ def test_a_scan_from_any_start_fills_the_channels_from_there(
     packets = c_side.scan(channels, counts, places[first] if places else (0, 0))
     assert isinstance(packets, list)
     decoder = Decoder(lambda _: [Module(n) for n in channels])
-    scans = [s for p in packets for f in cyskin.fragment(p, 1) for s in decoder.feed(f)[1]]
-    scans += decoder.flush()
+    frames = [frame for packet in packets for frame in cyskin.fragment(packet, 1)]
+    scans = [scan for _, ended in decoder.take(frames) for scan in ended] + decoder.flush()
     want = [MISSING] * first + counts + [MISSING] * (len(places) - first - n)
     assert [list(scan.counts) for scan in scans] == ([want] if n else [])
     assert decoder.counters.index_errors == 0

@@ -1,6 +1,7 @@
 """Scans out of packets: the module table, the walk, and what is missing."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import chain
 
 import pytest
 from hypothesis import given, settings
@@ -20,10 +21,11 @@ CHANNELS = sum(m.channels for m in MODULES)
 def feed(
     decoder: Decoder, command: int, payload: bytes, ihb: int = 1, t: float = 0.0
 ) -> list[Scan]:
-    scans = []
-    for frame in cyskin.to_frames(command, payload, ihb=ihb, t=t):
-        scans += decoder.feed(frame)[1]
-    return scans
+    return scans_of(decoder, cyskin.to_frames(command, payload, ihb=ihb, t=t))
+
+
+def scans_of(decoder: Decoder, frames: Iterable[Frame]) -> list[Scan]:
+    return [scan for _, ended in decoder.take(frames) for scan in ended]
 
 
 def scan_frames(counts: list[int], ihb: int = 1, t: float = 0.0) -> list[list[Frame]]:
@@ -106,8 +108,7 @@ def test_damage_costs_its_packet_shifts_nothing_and_mixes_no_scans(
     for n, (frames, (what, number)) in enumerate(zip(sent, happens, strict=True)):
         damage, whole = HAPPENS[what]
         at = number % len(frames)
-        for frame in damage(frames, at):
-            scans += decoder.feed(frame)[1]
+        scans += scans_of(decoder, damage(frames, at))
         low, source = n % 3 * 126, first if n < 3 else second
         values = [(i, source[i]) for i in range(low, min(low + 126, CHANNELS))]
         wanted += values * whole(at, len(frames) - 1)
@@ -122,9 +123,7 @@ def test_two_hubs_keep_their_scans_apart() -> None:
     decoder, scans = declared(), []
     one, two = scan_frames([1] * CHANNELS, ihb=1), scan_frames([2] * CHANNELS, ihb=2)
     for a, b in zip(one, two, strict=True):
-        for pair in zip(a, b, strict=True):
-            for frame in pair:
-                scans += decoder.feed(frame)[1]
+        scans += scans_of(decoder, chain(*zip(a, b, strict=True)))
     assert sorted((s.ihb, set(s.counts)) for s in scans) == [(1, {1}), (2, {2})]
 
 
@@ -149,7 +148,8 @@ def test_a_hub_that_declares_its_modules_ends_the_scan_under_way(channels: int) 
     decoder = Decoder()
     feed(decoder, Command.DECLARE, bytes((1, 0, 4)))
     assert feed(decoder, Command.SENSOR_DATA, bytes((0, 0, 0, 1))) == []
-    decoder.feed(cyskin.to_frames(Command.SENSOR_DATA, bytes((0, 1, 0, 2, 0, 3)), ihb=1)[0])
+    cut = cyskin.to_frames(Command.SENSOR_DATA, bytes((0, 1, 0, 2, 0, 3)), ihb=1)[:1]
+    assert scans_of(decoder, cut) == []
     feed(decoder, Command.DECLARE, bytes((1, 0, channels)))
     counts = list(range(5, 5 + channels))
     data = b"".join(value.to_bytes(2) for value in counts)
@@ -188,9 +188,7 @@ def test_scans_that_never_came_are_missed_and_long_pauses_are_none() -> None:
     decoder = declared()
     missed = []
     for t in (0.0, 0.05, 0.1, 0.152, 0.3, 0.35, 1.3, 3.0, 3.05):
-        for frames in scan_frames([7] * CHANNELS, t=t):
-            for frame in frames:
-                decoder.feed(frame)
+        scans_of(decoder, chain(*scan_frames([7] * CHANNELS, t=t)))
         missed.append(decoder.counters.missed)
     assert missed == [0, 0, 0, 0, 2, 2, 20, 20, 20]
 

@@ -85,12 +85,8 @@ def test_a_scan_is_packed_and_walked_alike(case: dict[str, Any]) -> None:
     packets = [cyskin.encode(*answer) for answer in hub.sensor_data(case["counts"])]
     assert [packet.hex().upper() for packet in packets] == case["packets"]
     decoder = Decoder(lambda _: hub.modules)
-    scans = [
-        scan
-        for packet in packets
-        for frame in cyskin.fragment(packet, 1)
-        for scan in decoder.feed(frame)[1]
-    ]
+    frames = [frame for packet in packets for frame in cyskin.fragment(packet, 1)]
+    scans = [scan for _, ended in decoder.take(frames) for scan in ended]
     assert [list(scan.counts) for scan in scans] == [case["counts"]] * bool(case["counts"])
 
 
@@ -114,9 +110,7 @@ def test_details_answers_are_understood(case: dict[str, Any]) -> None:
 
 
 def payload_of(packet: str, command: int) -> bytes:
-    decoder = Decoder()
-    [*_, got] = [decoder.feed(frame)[0] for frame in cyskin.fragment(bytes.fromhex(packet), 1)]
-    assert got is not None
+    [(got, _)] = Decoder().take(cyskin.fragment(bytes.fromhex(packet), 1))
     assert got.command == command
     return got.payload
 
