@@ -6,6 +6,8 @@ from typing import Any
 import pytest
 import zmq
 
+from ..rig.commands import refused
+from ..rig.configurations import configuration
 from ..rig.processes import free_port
 from ..rig.sockets import Sockets
 from .stand import INFO, Stand
@@ -29,6 +31,8 @@ def test_where_an_address_cannot_be_had_the_rest_is_served_and_the_address_once_
     absent = f"tcp://{ABSENT}:{free_port()}", "tcp://nic77:9872"
     with Sockets() as sockets:
         thieves = [taken(sockets, endpoint) for endpoint in (stream, control)]
+        told = refused("check", configuration(tmp_path, relay={"publish": [stream]}))
+        assert told.startswith(f"relay.publish: cannot bind {stream} (Address already in use); ")
         with Stand(tmp_path, relay_publish=(stream, *absent), relay_control=control) as stand:
             stand.received(stand.subscriber(b"/taxeld/e"))
             assert stand.answer({"cmd": "info"})["info"] == INFO
