@@ -20,6 +20,7 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import SURE
 
 FOUND_MM = 1e3 * FilterConfig().within_m
+NEAR_MM = 20.0
 
 
 def is_found(error_mm: ArrayLike) -> Bools:
@@ -69,7 +70,8 @@ class Claims:
 
     def by_touch(self) -> dict[str, Any]:
         """Of trials (N, T): quantiles of the error after each touch, and how many are then found,
-        found and sure, or misleading; and how many estimates of all are sure, and mislead."""
+        found and sure, near, within their radius, or misleading; and how many estimates of all are
+        sure, and mislead."""
         median, most = np.quantile(self.error_mm, (0.5, 0.9), axis=0).round(2).tolist()
         return {
             "trials": len(self.p),
@@ -77,6 +79,8 @@ class Claims:
             "q90_mm": most,
             "found": self.found.sum(axis=0).tolist(),
             "found_and_sure": self.found_and_sure.sum(axis=0).tolist(),
+            "near": (self.error_mm < NEAR_MM).sum(axis=0).tolist(),
+            "covered": (self.error_mm <= self.radius_mm).sum(axis=0).tolist(),
             "misleading_at": self.misleading.sum(axis=0).tolist(),
             "sure": int(self.sure.sum()),
             "misleading": int(self.misleading.sum()),

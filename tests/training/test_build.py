@@ -3,8 +3,6 @@
 import contextlib
 import io
 import json
-import os
-import pty
 import re
 import shutil
 import time
@@ -30,7 +28,6 @@ from taxeld_training.cli import main
 from taxeld_training.limits import quality
 from taxeld_training.models import variants
 from tests.rig.commands import refused
-from tests.rig.processes import read_all
 
 from . import rig
 
@@ -121,7 +118,7 @@ def test_a_build_prints_its_stages_what_it_made_how_good_and_what_to_do_next(bui
     assert f"taxeld-hil run demo --object {built} --layout {SKIN} --out block_demo" in text
 
 
-def test_a_long_stage_is_told_of_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_stage_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "MUTE_S", 0.01)
     said = io.StringIO()
     with progress.shown(("scene", "training"), said) as tell:
@@ -132,18 +129,6 @@ def test_a_long_stage_is_told_of_without_a_terminal(monkeypatch: pytest.MonkeyPa
     first, *_ = (line for line in said.getvalue().splitlines() if "%" not in line)
     assert first == "1/2 scene: 0 s"
     assert "2/2 training: 50% after 0 s\n2/2 training: 50% after" in said.getvalue()
-
-
-def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
-    ours, theirs = pty.openpty()
-    with (
-        os.fdopen(theirs, "w") as terminal,
-        progress.shown(("scene", "training"), terminal) as tell,
-    ):
-        tell("scene", 1.0)
-        tell("training", 0.5)
-    drawn = read_all(ours)
-    assert all(words in drawn for words in ("1/2 scene", "2/2 training", "50%"))
 
 
 def test_a_table_alone_is_built(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

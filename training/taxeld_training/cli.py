@@ -12,7 +12,7 @@ from taxeld.errors import SetupError
 from taxeld_hil import options
 from taxeld_hil.objects import HEIGHT_M
 
-QUESTIONS = "works, whole, map, which, advice, push, samplers"
+QUESTIONS = "works, whole, map, which, advice, push, samplers, real"
 DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
 OBJECT = "a YCB id (025_mug), or a mesh file in metres whose z axis points up"
 
@@ -85,18 +85,21 @@ def _depth_m(args: argparse.Namespace) -> float:
 
 
 def _evaluate(args: argparse.Namespace) -> int:
-    """Answer questions by simulated trials: tables, JSON and pictures.
+    """Answer questions by trials, simulated ones and recorded ones: tables, JSON and pictures.
 
     taxeld-train evaluate works --quick --out results
     taxeld-train evaluate map --cells moved,robot --objects 025_mug --out results
+    taxeld-train evaluate real --data recordings --out results
     """
     from taxeld_training.trials import run
     from taxeld_training.trials.questions import Selection, names
 
     layouts = tuple(options.layouts(args.layout))
-    asked = Selection(args.quick, _seeds(args.seeds), args.objects, args.cells, layouts)
+    seeds = _seeds(args.seeds)
+    asked = Selection(args.quick, seeds, args.objects, args.cells, layouts, args.data)
+    wanted = args.question or names(recorded=args.data is not None)
     workers = run.Workers(args.workers, args.memory)
-    for line in run.answer(args.question or names(), asked, workers, args.out):
+    for line in run.answer(wanted, asked, workers, args.out):
         print(line, flush=True)
     return 0
 
@@ -177,6 +180,8 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     about = "cells, all that begin with a word (moved), methods, guides or motions: no others"
     add("--cells", type=_names, default=(), metavar="A,B", help=about)
     options.add_layouts(one, "a ring of 5 rows")
+    about = "of 'real': recordings, as examples/nao_recordings.py makes them"
+    add("--data", type=Path, metavar="DIR", help=about)
 
 
 if __name__ == "__main__":

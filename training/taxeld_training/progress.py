@@ -1,21 +1,10 @@
-"""How far a long command is: bars on a terminal; elsewhere a line when a stage is done, and one at
-least each half minute."""
+"""How far a long command is: a line when a stage is done, and one at least each half minute."""
 
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TextIO, TypeAlias
-
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 MUTE_S = 25.0  # longest time without a line
 
@@ -27,31 +16,6 @@ Tell: TypeAlias = Callable[[str, float], None]
 def shown(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
     """→ A function that shows how far the `stages` are, which follow one another."""
     names = {stage: f"{n}/{len(stages)} {stage}" for n, stage in enumerate(stages, 1)}
-    with (_bars if stream.isatty() else _lines)(names, stream) as tell:
-        yield tell
-
-
-@contextmanager
-def _bars(names: dict[str, str], stream: TextIO) -> Iterator[Tell]:
-    columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()
-    times = TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()
-    with Progress(*columns, *times, console=Console(file=stream)) as bars:
-        tasks = {
-            stage: bars.add_task(name, total=1.0, start=False) for stage, name in names.items()
-        }
-        bars.start_task(tasks[next(iter(names))])
-
-        def tell(stage: str, share: float) -> None:
-            bars.update(tasks[stage], completed=share)
-            following = [*tasks.values()][tasks[stage] + 1 :]
-            if share >= 1.0 and following:
-                bars.start_task(following[0])
-
-        yield tell
-
-
-@contextmanager
-def _lines(names: dict[str, str], stream: TextIO) -> Iterator[Tell]:
     left, share, began_s = [*names], 0.0, time.monotonic()
     lock, ended = threading.Lock(), threading.Event()
 

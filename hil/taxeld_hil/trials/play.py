@@ -5,13 +5,14 @@ A touch is noted `SEEN_S` after it ends, by when the filter has learned from it.
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from taxeld.arrays import Poses
+from taxeld.estimator.estimate import Estimate
 from taxeld.model import se2
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
@@ -166,17 +167,31 @@ def _noted(direct: Direct, until_s: float, true: int, guide_ms: float) -> Touch:
     now = pipeline.estimate
     error_mm = _error_mm(world, scene, now.map, until_s) if now.object == true else math.nan
     idle_ms = 1e-6 * float(np.mean(idle_ns)) / SCAN_S if idle_ns else math.nan
+    p = now.p if freshness.why(now) is Why.VALID else 0.0
+    return touch_of(now, p, error_mm, 1e-6 * all_ns, idle_ms, guide_ms, path_mm)
+
+
+def touch_of(
+    now: Estimate,
+    p: float,
+    error_mm: float,
+    ms: float = math.nan,
+    idle_ms: float = math.nan,
+    guide_ms: float = 0.0,
+    path_mm: Sequence[float] = (),
+) -> Touch:
+    """An estimate after a touch, with its p and error; `path_mm`: errors over a push."""
     return Touch(
         object=now.object,
         error_mm=round(error_mm, 4),
-        p=round(now.p, 6) if freshness.why(now) is Why.VALID else 0.0,
+        p=round(p, 6),
         radius_mm=round(1e3 * now.radius_m, 4),
         objects=tuple(float(f"{share:.6g}") for share in now.objects),
         other=round(now.hypotheses.other, 6),
         moved=round(now.hypotheses.moved, 6),
         status=now.status.name.lower(),
         particles=now.particles,
-        ms=round(1e-6 * all_ns, 4),
+        ms=round(ms, 4),
         idle_ms=round(idle_ms, 4),
         guide_ms=round(guide_ms, 4),
         path_mm=round(float(np.median(path_mm or math.nan)), 4),

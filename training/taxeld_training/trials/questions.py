@@ -23,7 +23,7 @@ FOAMS = "exact", "typical", "poor"  # cells
 ALL, TUNED, NEW, SOFT, WRONG = "all", "tuned", "not tuned", "soft skin", "another object"  # parts
 LOOKED_AT = "two"  # objects on which the filter's constants were set
 TRIAL_KEYS = {each.name for each in fields(Conditions)}
-QUICK_SEEDS, QUICK_OBJECTS, QUICK_CELLS, QUICK_READINGS, QUICK_EFFORT = 2, 2, 2, 4, 0.02
+QUICK_SEEDS, QUICK_OBJECTS, QUICK_CELLS, QUICK_EFFORT = 2, 2, 2, 0.02
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,7 @@ class Question:
     effort: float = 0.5  # share of a sampler's full training
     knows: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # lists of known objects
     strangers: tuple[str, ...] = ()  # objects that the first of these lists meets as well
-    readings: int = 0  # for each object and ring, on which samplers are measured
-    columns: tuple[int, ...] = ()
-    proposals: tuple[str, ...] = ()
+    tilts: tuple[float, ...] = ()  # of recorded arms, at most [rad]: its trials are recordings
 
 
 @dataclass(frozen=True)
@@ -67,6 +65,7 @@ class Selection:
     objects: tuple[str, ...] = ()
     only: tuple[str, ...] = ()  # names of cells, or their first words, methods, guides, motions
     layouts: tuple[str, ...] = ("",)  # "": the usual ring
+    data: Path | None = None  # folder of recordings
 
 
 @cache
@@ -75,9 +74,9 @@ def table() -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-def names() -> list[str]:
-    """The questions."""
-    return [name for name, entry in table().items() if "says" in entry]
+def names(*, recorded: bool = True) -> list[str]:
+    """The questions, those by recordings as well, or without them."""
+    return [k for k, v in table().items() if "says" in v and (recorded or "tilts" not in v)]
 
 
 def load(name: str, asked: Selection) -> Question:
@@ -99,12 +98,11 @@ def load(name: str, asked: Selection) -> Question:
         given["cells"] = [*table()["cells"]]
     if asked.quick:
         given |= {"seeds": QUICK_SEEDS, "effort": QUICK_EFFORT}
-        given["columns"] = given.get("columns", [])[:1]
+        given["tilts"] = given.get("tilts", [])[:1]
         given["methods"] = [each for each in given.get("methods", ["table"]) if each != GRID]
-        given["readings"] = min(given.get("readings", 0), QUICK_READINGS)
         if not asked.only:
             given["cells"] = given["cells"][:QUICK_CELLS]
-    for each in (*given["objects"], *given["strangers"]):
+    for each in () if given.get("tilts") else (*given["objects"], *given["strangers"]):
         meshes.find(Subject(each).mesh)
     return Question(name, **{key: _frozen(value) for key, value in given.items()})
 

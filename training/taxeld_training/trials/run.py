@@ -20,7 +20,7 @@ from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
 from taxeld_hil.trials.case import Case
 from taxeld_hil.trials.play import play
-from taxeld_training.trials import limit, questions, samplers, score, tables
+from taxeld_training.trials import limit, questions, real, samplers, score, tables
 from taxeld_training.trials.questions import Cell, Question, Selection
 from taxeld_training.trials.score import Played
 
@@ -48,11 +48,13 @@ def answer(names: Sequence[str], asked: Selection, workers: Workers, out: Path) 
         SetupError: there is no such question, object or cell, or a skin misses an object.
     """
     todo = [questions.load(name, asked) for name in names]
-    chosen = [questions.cells(question, asked) for question in todo]
+    chosen = [[] if each.tilts else questions.cells(each, asked) for each in todo]
     for question, cells in zip(todo, chosen, strict=True):
-        played = run(question, cells, asked, workers)
+        if question.tilts:
+            played = real.run(question, asked, workers.run)
+        else:
+            played = run(question, cells, asked, workers)
         rows = score.rows(played, question.by)
-        rows += samplers.rows(question, workers.memory, workers.run)
         given = {"question": question.says, **_made(question.name)}
         data = tables.write(out / f"{question.name}.json", given, rows)
         yield f"{question.name}: {question.says}"

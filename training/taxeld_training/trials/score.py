@@ -42,10 +42,8 @@ class Played:
         """Of trials as jobs have them."""
         known, touched = cell.case.known, cell.case.touched
         true = 0 if touched is None else known.index(touched) if touched in known else -1
-        made = [
-            [Touch._make(math.nan if v is None else v for v in row) for row in t] for t in trials
-        ]
-        return cls(cell.labels, tuple(each.name for each in known), true, tuple(seeds), made)
+        names = tuple(each.name for each in known)
+        return cls(cell.labels, names, true, tuple(seeds), touches_of(trials))
 
     def records(self) -> Iterator[Row]:
         """A row a touch, for JSON lines."""
@@ -58,6 +56,11 @@ class Played:
         """(N, T) of a field of the touches."""
         at = COLUMNS[name]
         return np.array([[touch[at] for touch in trial] for trial in self.trials], dtype=float)
+
+
+def touches_of(trials: Sequence[Sequence[Any]]) -> list[list[Touch]]:
+    """Trials as jobs have them."""
+    return [[Touch._make(math.nan if v is None else v for v in row) for row in t] for t in trials]
 
 
 def rows(played: Sequence[Played], by: Sequence[Sequence[str]]) -> list[Row]:
@@ -183,7 +186,11 @@ def calibration_error(table: Sequence[Row]) -> float | None:
 def told_apart(known: Sequence[Played], strangers: Sequence[Played]) -> list[float]:
     """(T,) area under the curve (ROC) of `other` after each touch: how likely it is larger in a
     trial with a stranger than in one with a known object."""
-    one, two = _all(known, "other"), _all(strangers, "other")
+    return _larger(_all(known, "other"), _all(strangers, "other"))
+
+
+def _larger(one: Floats, two: Floats) -> list[float]:
+    """(T,) how likely a figure after each touch is larger in trials two (n, T) than one (m, T)."""
     larger = stats.mannwhitneyu(two, one).statistic / (len(one) * len(two))
     return list(np.round(larger, 4).tolist())
 
@@ -193,6 +200,12 @@ def _identity(group: Sequence[Played], of: Claims) -> Row:
     right = np.concatenate([each.column("object") == each.true for each in group])
     touches = [touch for each in group for trial in each.trials for touch in trial]
     named = np.array([touch.objects[touch.object] for touch in touches])
+    second = [(each.true, t.objects[-1]) for each in group for trial in each.trials for t in trial]
+    told = {}
+    if {len(each.known) for each in group} == {2} and {0, 1} == {k for k, _ in second}:
+        shape = -1, len(group[0].trials[0])
+        one, two = (np.reshape([p for k, p in second if k == true], shape) for true in (0, 1))
+        told["identity"] = _larger(one, two)
     taken = Counter(
         f"{each.labels['object']} for {each.known[int(number)]}"
         for each in group
@@ -200,6 +213,7 @@ def _identity(group: Sequence[Played], of: Claims) -> Row:
         if number != each.true
     )
     return {
+        **told,
         "right": right.sum(axis=0).tolist(),
         "object_ece": calibration_error(bins(named, right.ravel())),
         "taken": dict(taken.most_common()),

@@ -20,10 +20,12 @@ from taxeld.errors import SetupError
 Row: TypeAlias = dict[str, Any]
 
 ALL = "all"
-SHARES = "found", "found_and_sure", "right"  # counts of trials after each touch
+SHARES = "found", "found_and_sure", "right", "near", "covered"  # counts of trials after each touch
 HEADS = {
     "found_and_sure": "found and sure",
     "mm": "mm after",
+    "near": "within 20 mm",
+    "covered": "within its radius",
     "path_mm": "mm (10 – 90 %)",
     "misleading_at": "misleading after",
     "ece": "error of p",
