@@ -15,7 +15,7 @@ from taxeld.estimator import scans
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import AGREEING, ROOM
+from taxeld.estimator.mixture import ROOM
 from taxeld.model import se2
 from taxeld.model.observation import Activation, ObservationModel
 from taxeld.proposals.analytic import Manifold, Projection
@@ -29,8 +29,6 @@ from tests.rig.pressed_box import (
     press,
     settled,
 )
-from tests.rig.scenes import box, scene_of
-from tests.rig.skins import SKIN
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.005])
@@ -145,27 +143,6 @@ def test_a_belief_that_becomes_impossible_begins_anew(box_model: ObservationMode
     world.press(subject, 1.3)
     near = subject.rule.metric.distance(subject.rule.belief.pose, TRUTH) < 0.02
     assert near.mean() > 0.9
-
-
-@pytest.mark.parametrize("before", [1, 6])
-def test_contacts_that_disagree_tell_of_a_move_only_after_the_belief_was_sure(
-    before: int,
-) -> None:
-    """An object that was never found and disagrees is rather another: it is sure only after
-    `AGREEING` more contacts."""
-    scene = scene_of(box(0.03, 0.06), SKIN, symmetry=2)
-    world = World(ObservationModel(scene, SKIN, 0.005))
-    subject = world.knowing()
-    was_sure = [is_sure(world.press(subject, 0.2 + 1.35 * k)) for k in range(before)]
-    world.truth = se2.compose(TRUTH, np.array([0.05, -0.06, 1.0]))
-    after = [is_sure(world.press(subject, 0.2 + 1.35 * k)) for k in range(AGREEING + 3)]
-    assert any(was_sure) == (before == 6)
-    assert after[-1]
-    assert any(after[: AGREEING - 1]) == any(was_sure)
-
-
-def is_sure(estimate: Estimate) -> bool:
-    return estimate.status is Status.CONVERGED
 
 
 def test_searches_come_one_at_a_time_when_asked_for(box_model: ObservationModel) -> None:

@@ -53,13 +53,6 @@ class Runs:
         met = np.logaddexp(told[:, :steps], least) + told[:, steps:]
         return np.asarray(met[:, ::-1].cumsum(axis=1)[:, ::-1] + self.open)
 
-    def contradicted(self, explained: Floats) -> Bools:
-        """Whether the likeliest of poses leaves a contact unexplained: explained (N, terms) →
-        (contacts,)."""
-        best = explained[self.support(explained).argmax()]
-        gains = (best @ self.shares - self.usual)[: len(self.begun)]
-        return np.asarray(gains[self.touched] < LEAST)
-
     def support(self, explained: Floats) -> Floats:
         """Log-density of poses, up to the uniform prior's: explained (N, terms) → (N,)."""
         if not len(self.begun):  # nothing is remembered but a prior, if that

@@ -33,7 +33,6 @@ SLACK_NATS = 1.0  # nats of evidence needed to change the slack
 SEARCHES = 2  # after a contact, at most
 SEARCHED = 4  # contacts whose samples a search takes
 MISSED = 0.02  # probability, until a search has found nothing else, that the belief has missed it
-AGREEING = 6  # contacts in a row that agree after one that does not, until the belief may be sure
 OPINIONS = 2  # contacts with whose samples an object begins that was ruled out before
 
 
@@ -67,7 +66,6 @@ class Mixture:
         self._searches = 0  # since the last contact
         self._is_sure = False  # but for what a search may find
         self._is_searched = False  # whether it was sure before and after a search or a touch
-        self._surely = -1  # number of the last contact after which the belief was sure
         self._fitted = 0  # number of the contact after which the slack was fitted
 
     def follow(self, before: Observation, after: Observation) -> None:
@@ -262,23 +260,11 @@ class Mixture:
         self._stands = alone.hypotheses.stands
         was_sure, before = self._is_sure, self._before
         now = placed(self.belief, self.metric, self._config)
-        self._is_sure = float(alone.here[0]) * now.within >= SURE and self._agrees()
+        self._is_sure = float(alone.here[0]) * now.within >= SURE
         apart = self.metric.distance(before.modes[0].pose, now.modes[0].pose)
         stays = was_sure and self._is_sure and bool(apart < MODE_RADIUS_M * self._scale)
         self._is_searched = stays and (self._is_searched or has_looked)
-        if self._is_searched:
-            self._surely = self.memory.newest
         self._take_place(now)
-
-    def _agrees(self) -> bool:
-        """Whether the contacts agree, or enough have since one that does not. The object has moved
-        only if the belief was sure before that; else it is rather another object."""
-        runs = self.memory.runs
-        at = np.flatnonzero(runs.contradicted(self.belief.remembered))
-        if not len(at):
-            return True
-        contacts, last = runs.step[runs.touched], at[-1]
-        return bool(len(contacts) - last > AGREEING or self._surely >= contacts[last] - 1)
 
     @property
     def place(self) -> Place:
