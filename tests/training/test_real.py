@@ -1,4 +1,4 @@
-"""Recordings of a real skin as trials, by a stand-in that is made from figures."""
+"""Recordings of a real skin as trials and as a session, by a stand-in that is made from figures."""
 
 import json
 import runpy
@@ -7,13 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taxeld.api import Replay
+from taxeld.model.symmetry import add_m
+from taxeld.source import session
 from taxeld_training.cli import main
 from taxeld_training.trials import real
 from taxeld_training.trials.real import Arm
-from tests.rig import real_skin
+from tests.rig import real_skin, recorded_session
 from tests.rig.commands import refused
 
-WRONG = {"touched": "stranger"}
+KINDS = ["knows", "touched", "prior"]
 ARM, PART = "left_arm", "head"
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -60,9 +63,9 @@ def test_the_question_is_answered_by_recordings(folder: Path, tmp_path: Path) ->
     asked = ["evaluate", "real", "--quick", "--seeds", "1", "--data", str(folder)]
     assert main([*asked, *where]) == 0
     rows = json.loads((tmp_path / "real.json").read_text("utf-8"))["rows"]
-    (both,) = (row for row in rows if row["of"].get("knows") == "both" and "tilt" not in row["of"])
+    all_of = {tuple(row["of"].values()): row for row in rows if [*row["of"]] == KINDS}
+    both, wrong = all_of["both", "known", "none"], all_of["one", "stranger", "none"]
     assert len(both["identity"]) == len(both["covered"]) == 12
-    (wrong,) = (row for row in rows if row["of"] | WRONG == row["of"] and len(row["of"]) == 3)
     assert wrong["found"] == [0] * 12
 
 
@@ -74,6 +77,16 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     line = refused(*asked, "--data", tmp_path, main=main)
     assert "left_arm_head.npz" in line
     assert "nao_recordings.py" in line
+
+
+def test_a_session_of_recorded_touches_finds_the_part(arm: Arm, tmp_path: Path) -> None:
+    recorded_session.write(arm, "torso", tmp_path / "session", tilt=0.1, seed=1)
+    replay = Replay(tmp_path / "session")
+    *_, last = (outcome.estimate for outcome in replay)
+    assert last.contacts == recorded_session.TOUCHES
+    truth = session.truth(tmp_path / "session")
+    assert truth is not None
+    assert add_m(replay.model.scene, last.map, truth)[1] < 0.03
 
 
 def test_the_arms_of_a_robot_are_mirrored() -> None:
