@@ -32,9 +32,9 @@ OWN = 0.5  # share of the sag's variance that is the taxel's own; the rest is a 
 ROBUST = 2.0  # standard deviations beyond which a reading teaches less (Huber 1964)
 LEAST = np.array([[0.4], [-0.9], [np.log(2e-4)]])  # least gain, onset, log length
 MOST = np.array([[2.5], [3.0], [np.log(0.012)]])
-ANSWERS = 0.95  # mean share of presses that a taxel answers, before anything is learned
+ANSWERS = 0.95  # mean share of presses that a taxel answers, with which the first lesson begins
 FIRM = 2.0  # standard deviations over the floor of an expected depth that must be answered
-SURE = 0.998  # greatest share that is taken from a calibration
+RELIABLE = 0.998  # greatest share that is taken from a calibration
 ANSWERED = 2.0  # presses that this mean, or a calibration's, counts for
 
 
@@ -51,7 +51,7 @@ class LinearLesson(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TaxelFit:
-    """The Gaussians of M taxels."""
+    """What is known of M taxels."""
 
     mean: Floats  # (3, M) relative gain, onset, logarithm of the sag's length [m]
     cov: Floats  # (3, 3, M)
@@ -63,7 +63,7 @@ class TaxelFit:
         return np.asarray(self.count[0] / self.count.sum(axis=0))
 
     def learned(self, seen: LinearLesson) -> "TaxelFit":
-        """The Gaussians after these readings."""
+        """What is known after these readings."""
         mean, cov = self.mean, self.cov
         for value, slope, variance in zip(*seen[:3], strict=True):
             across = np.einsum("ijm,jm->im", cov, slope)
@@ -102,7 +102,7 @@ class SkinFit:
         sd = np.stack([np.sqrt(noise.gain_cv**2 - self._within**2) * ones, ONSET_SD * ones])
         if calibration is not None:
             gain, onset, self.bend = calibration.gain, calibration.onset, calibration.bend
-            answers = np.clip(calibration.answers, 1.0 - SURE, SURE)
+            answers = np.clip(calibration.answers, 1.0 - RELIABLE, RELIABLE)
             self._within = float(noise.gain_cv)
             sd = np.stack([calibration.gain_sd, calibration.onset_sd])
         sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * SAG_SD * ones])
