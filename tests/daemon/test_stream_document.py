@@ -50,8 +50,8 @@ def test_the_commands_answer_what_is_documented(heard: Said) -> None:
     part = section("control")
     for name in COMMANDS:
         (answer,) = heard[name]
-        (row,) = (line for line in part.splitlines() if line.startswith(f"| `{name}`"))
-        named = [text for text in row.split("|")[2].split("`") if text.isidentifier()]
+        (row,) = (line for line in part.splitlines() if line.startswith(f"- `{name}`"))
+        named = [text for text in row.partition(": ")[0].split("`")[2:] if text.isidentifier()]
         assert sorted(answer) == sorted(["ok", *named])
     assert heard["info"][0]["info"] == heard["/taxeld/info"][0]
     assert heard["status"][0]["estimate"].keys() == heard["/taxeld/estimate"][0].keys()
@@ -59,7 +59,7 @@ def test_the_commands_answer_what_is_documented(heard: Said) -> None:
 
 
 def test_the_table_of_health_is_the_documented_one() -> None:
-    rows = [line for line in section("/taxeld/health").splitlines() if line.startswith("| `")]
+    rows = [line for line in section("/taxeld/health").splitlines() if line.startswith("- `")]
     assert rows == values.TABLE
 
 

@@ -36,9 +36,9 @@ def section(title: str) -> str:
 
 
 def documented(title: str) -> tuple[Types, dict[str, Any]]:
-    """The keys of a section's table with their types, and the topic's example."""
-    rows = [line.split("|")[1:3] for line in section(title).splitlines() if line.startswith("| `")]
-    named = [(re.findall("`(.*?)`", cell), kind.strip()) for cell, kind in rows]
+    """The keys of a section's list with their types, and the topic's example."""
+    rows = re.findall(r"^- (`.*?`) \((\w+)\): ", section(title), re.MULTILINE)
+    named = [(re.findall("`(.*?)`", names), kind) for names, kind in rows]
     keys = {key: kind for names, kind in named for name in names for key in expanded(name)}
     keys |= {} if title in ("/taxeld/info", "/robot/sensor_pose") else EACH
     return keys, json.loads(EXAMPLES.read_text(encoding="utf-8"))[title]

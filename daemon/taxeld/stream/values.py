@@ -22,7 +22,7 @@ def expanded(key: str) -> list[str]:
 
 def _cures() -> Iterator[tuple[str, str]]:
     for row in TABLE:
-        keys, _, what = row.strip("| ").split(" | ")
+        keys, _, what = row.partition(": ")
         cure = what.partition(" → ")[2].replace("`", "")
         for key in re.findall("`(.*?)`", keys):
             for name in expanded(key):
