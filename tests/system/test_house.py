@@ -61,25 +61,6 @@ def test_what_is_to_be_installed_comes_from_the_clone_or_a_wheel_and_from_no_ind
             assert {one.strip("`'") for one in named} <= {".", "WHEEL"}, line
 
 
-def test_constants_of_the_estimators_page_have_the_values_that_it_says() -> None:
-    rows = 0
-    for line in (ROOT / "docs" / "estimator.md").read_text(encoding="utf-8").splitlines():
-        if not re.match(r"\| `\w+(\.\w+)*\.[A-Z]", line):
-            continue
-        rows, module, held = rows + 1, "", list[float]()
-        names, values, *_ = line.split("|")[1:]
-        for name in re.findall(r"`([\w.]+)`", names):  # `a.B`, `C` are both of a
-            *before, constant = name.split(".")
-            module = ".".join(before) or module
-            room = "" if "." in module else "estimator."
-            value = getattr(import_module(f"taxeld.{room}{module}"), constant)
-            held += value.tolist() if hasattr(value, "tolist") else [value]
-        parts = [part.partition(" ") for part in values.strip().split(", ")]
-        said = [float(number) * {"mm": 1e-3}.get(unit, 1.0) for number, _, unit in parts]
-        assert held == pytest.approx(said), names
-    assert rows > 5
-
-
 def test_the_example_configuration_is_fine() -> None:
     assert config_file.load(ROOT / "examples" / "can0.toml").source.channel == "can0"
 
