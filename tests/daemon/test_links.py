@@ -52,7 +52,7 @@ class TwoHubs:
     def tick(self) -> None:
         for hub, skin in self.hubs:
             hub.serve(time.monotonic(), lambda _, skin=skin: skin.scan().counts)  # type: ignore[misc]
-        self.daemon.tick(time.monotonic())
+        self.daemon.tick(time.monotonic(), self.daemon.take())
 
     def until(self, holds: Callable[[], bool]) -> None:
         until(holds, self.tick)

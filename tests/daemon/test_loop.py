@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -94,12 +94,10 @@ class Touches:
         self.daemon = daemon
         self.heard = Heard(daemon, monkeypatch)
         self.now = time.monotonic()
-        self.scans: list[Scan] = []  # scans that come with the next pass
         self._skin = SimulatedSkin(daemon.layouts[0], noise=5.0)
         self._skin.t = time.time() - 9.0
         self._made = 0
         monkeypatch.setattr(time, "time", lambda: self._skin.t)
-        monkeypatch.setattr(daemon.inputs.sources[0], "poll", lambda *_: self.scans)
         monkeypatch.setattr(mixture, "SURE", 0.0)  # any belief is to be searched
 
     def next(self) -> Scan:
@@ -112,10 +110,9 @@ class Touches:
 
     def tick(self, scans: list[Scan], ready: Ready) -> list[dict[str, Any]]:
         """The estimates that a pass sends."""
-        before, self.scans = len(self.heard), scans
+        before = len(self.heard)
         self.now += 0.002
-        self.daemon.tick(self.now, ready)
-        self.scans = []
+        self.daemon.tick(self.now, scans, ready)
         return [m for topic, m in self.heard[before:] if topic == topics.ESTIMATE]
 
 
@@ -179,39 +176,50 @@ def test_no_search_is_made_while_a_scan_waits(touches: Touches) -> None:
     assert pipeline.estimator.counters.thoughts == thoughts + 1
 
 
+SCAN, REST = [Scan(1.0, 1, (), (), 0)], list[Scan]()  # what a look finds: the end, or more to come
+
+
 @pytest.mark.parametrize(
-    ("more", "answered", "looks"),
+    ("found", "answered", "looks"),
     [
-        ([False], 0, 1),
-        ([True] * 3 + [False], 0, 4),
-        (itertools.repeat(True), 0, GATHERS),
-        ([True, False, False], 2, 3),
-        (itertools.repeat(False), GATHERS, 2),
+        ([SCAN], 0, 1),
+        ([REST] * 3 + [SCAN], 0, 4),
+        ([REST] * 3 + [None], 0, 4),
+        ([REST] * 100, 0, GATHERS + 1),
+        ([REST, SCAN, None], 3, 3),
+        ([SCAN] + [None] * 100, 100, 2),
     ],
-    ids=["at once", "one by one", "without end", "the door is later", "the door is silent"],
+    ids=["at once", "one by one", "cut", "without end", "the door is later", "the door is silent"],
 )
 def test_a_pass_waits_for_all_frames_of_a_scan_and_for_the_doors_answer(
     daemon: Daemon,
     monkeypatch: pytest.MonkeyPatch,
-    more: Iterable[bool],
+    found: list[list[Scan] | None],
     answered: int,
     looks: int,
 ) -> None:
-    """`more`: whether the rest is on its way, at each look; `answered`: looks before the answer."""
-    come, found, clock = iter(more), list[bool](), Clock()
+    """`found`: at each look scans, their beginnings or nothing; `answered`: looks before the
+    door's answer."""
+    clock, source, left = Clock(), daemon.inputs.sources[0], iter(found)
+    looked = 0
+
+    def poll(_: float) -> list[Scan]:
+        nonlocal looked
+        looked += 1
+        daemon.link.is_asking = looked < answered
+        found = next(left)
+        source.is_coming = found == REST
+        return found or []
 
     def wait(_: object, __: object, until_s: float) -> None:
         clock.now = until_s
-        daemon.link.is_asking = len(found) < answered
 
     monkeypatch.setattr(time, "sleep", lambda _: None)
     monkeypatch.setattr(time, "monotonic", lambda: clock.now)
     monkeypatch.setattr(loop, "wait", wait)
-    gather = lambda: found.append(next(come)) or found[-1]  # noqa: E731
-    monkeypatch.setattr(daemon.inputs.sources[0], "gather", gather)
-    daemon.link.is_asking = answered > 0
-    daemon._gather()
-    assert len(found) == looks
+    monkeypatch.setattr(source, "poll", poll)
+    assert len(daemon.take()) == sum(len(each or []) for each in found)
+    assert looked == looks
 
 
 def test_a_pass_whose_own_work_is_longer_than_a_period_is_counted(
@@ -261,7 +269,7 @@ def test_a_robots_mistake_is_named_in_the_answer_to_status(tmp_path: Path) -> No
         def goes_on() -> None:
             for pose in (good, bad):
                 robot.send_multipart([topics.SENSOR_POSE, msgpack.packb(pose), b"1.0"])
-            daemon.tick(time.monotonic())
+            daemon.tick(time.monotonic(), daemon.take())
 
         fault = "messages come and are no poses: theta is beyond 1.5 turns: send"
         until(lambda: daemon.publisher.state()["sensor_pose"]["fault"].startswith(fault), goes_on)
@@ -307,7 +315,7 @@ def daemon_of(place: Path, recorder: Recorder | None = None, **tables: Table) ->
 def tick(daemon: Daemon, hub: Hub, holds: Callable[[], bool]) -> None:
     def tick_once() -> None:
         hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
-        daemon.tick(time.monotonic())
+        daemon.tick(time.monotonic(), daemon.take())
 
     until(holds, tick_once)
 

@@ -30,7 +30,7 @@ from taxeld.source.device import LostError
 from taxeld.source.opening import open_device, open_source
 from taxeld.source.recorder import Recorder
 from taxeld.source.socketcan import SocketCanDevice
-from taxeld.source.sources import SIZES, LiveSource, least_period_ms
+from taxeld.source.sources import LiveSource, least_period_ms
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
@@ -472,43 +472,23 @@ def test_the_shortest_period_is_what_the_bus_carries(
     assert least_period_ms(source, replace(SKIN, uid=uid)) == least_ms
 
 
-def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_device(
+def test_nothing_is_lost_with_the_device_and_the_rest_of_a_scan_is_said_to_come(
     tmp_path: Path,
 ) -> None:
-    settings = SourceConfig(kind="can", **LISTENING)
     frames = [frame for k in range(3) for frame in scan_frames(k, 1.0 + 0.05 * k)]
-    cut = len(frames) // 2
-    device = GivenDevice()
+    size, device = len(frames) // 3, GivenDevice()
     with Recorder(tmp_path / "session", moves=False) as recorder:
-        source = LiveSource(settings, {0: SKIN}, lambda _: device, recorder)
-        held = []
-        for part in (frames[:5], [], frames[5:cut]):
+        source = LiveSource(CONFIG, {0: SKIN}, lambda _: device, recorder)
+        scans, seen = [], []
+        for part in (frames[:5], [], frames[5:size], frames[size:-1], frames[-1:], []):
             device.frames = part
-            held.append(source.gather())
-        assert held == [True, False, True], "how large a scan is, is not known yet"
-        scans = source.poll(0.1)
-        device.frames = frames[cut:]
-        source.gather()
+            found = source.poll(0.01)
+            scans += found
+            seen.append((len(found), source.is_coming))
+        assert seen == [(0, True), (0, False), (1, False), (1, False), (1, False), (0, False)]
         device.is_lost = True
-        source.gather()
-        scans += source.poll(0.2)
-        assert (source.counters.lost, source.device) == (0, device)
         source.poll(0.3)
         assert (source.counters.lost, source.device) == (1, None)
         source.close()
     assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
     assert items_of(tmp_path / "session") == frames
-
-
-def test_of_a_scan_as_large_as_the_last_ones_no_more_is_waited_for() -> None:
-    device = GivenDevice()
-    source = LiveSource(SourceConfig(kind="can", **LISTENING), {0: SKIN}, lambda _: device)
-    for k in range(SIZES + 2):
-        frames = scan_frames(k, 1.0 + 0.05 * k)
-        device.frames = frames[:3]
-        assert source.gather()
-        assert not source.gather(), "nothing has come since"
-        device.frames = frames[3:]
-        assert source.gather() == (k == 0)
-        assert len(source.poll(0.05 * k)) == 1
-    source.close()

@@ -126,11 +126,6 @@ class Inputs:
             if each.waits_for
         )
 
-    def gather(self) -> bool:
-        """Read the devices; → whether the rest of a scan is on its way."""
-        has_more = [source.gather() for source in self.sources]
-        return any(has_more)
-
     def look(self, link: Link, t: float) -> None:
         """Once a second, at the Unix time t: take what the door says of robot and array."""
         if self.watch.endpoint:

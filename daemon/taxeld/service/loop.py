@@ -1,14 +1,14 @@
 """The loop: it alone owns clocks, sockets and devices.
 
-It sleeps until something arrives, or until its clock says so. A pass takes the arrivals, works on
-each scan to its end and publishes the results. A pass that finds no arrivals makes a search, if
-the pipeline has one to make.
+It sleeps until something arrives, or until its clock says so. It takes the arrivals; a pass works
+on each scan to its end and publishes the results. A pass without arrivals makes a search, if the
+pipeline has one to make.
 """
 
 import contextlib
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -28,12 +28,13 @@ from taxeld.source.recorder import RecordCounters, Recorder
 from taxeld.source.sources import polled
 from taxeld.stream import messages
 from taxeld.stream.link import Link
+from taxeld_protocol.decoder import Scan
 
 TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
 START_S = 2.0  # time that a skin may take to start, before the lack of scans is a fault
 ANSWER_S = 0.005  # time that the door has for the poses of a scan
 GATHER_S = 0.0002  # time between two looks at the device: a scan's frames come more closely
-GATHERS = 20  # looks at the device for further frames
+GATHERS = 20  # further looks at the device for the rest of a scan
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
 log = logging.getLogger(__name__)
@@ -66,7 +67,7 @@ class Daemon:
             self.realtime, self.recorder = realtime.RealTime(), recorder
             self.start_s = time.monotonic()
             self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
-            self._next_look_s = 0.0
+            self._next_look_s, self._source_ns = 0.0, 0  # CPU time of taking the last scans
             self.kept = Store(self.config, self.pipeline)
             changes = {"tare": self.pipeline.tare, "reset": self._reset, "prior": self._prior}
             self.link = Link(self._info(), self.on_pose, changes)
@@ -109,9 +110,9 @@ class Daemon:
         collector, sources = realtime.Collector(), self.inputs.sources
         ready = ALL
         while not self.stopping:
-            now = ticker.begin()
+            scans, now = self.take(ready), ticker.begin()
             self.counters.overruns = ticker.missed
-            self.tick(now, ready)
+            self.tick(now, scans, ready)
             notifier.tick(now, self.publisher.status_line)
             openings = sum(s.counters.unopened + s.counters.reopened for s in sources)
             collector.tick(now, openings, pressed=self.pipeline.is_touched)
@@ -119,7 +120,7 @@ class Daemon:
             ready = self._wait(ticker)
 
     def _wait(self, ticker: Ticker) -> Ready:
-        """Sleep until the next pass is due, or until a whole scan, or a pose for one that waits, is
+        """Sleep until the next pass is due, or until frames, or a pose for a scan that waits, are
         there."""
         pipeline, sources = self.pipeline, self.inputs.sources
         if pipeline.has_waiting:
@@ -128,46 +129,51 @@ class Daemon:
         until_s = ticker.until(busy=is_busy)
         hears = pipeline.has_waiting or self.inputs.come_by_door
         door, devices = self.link.end if hears else None, [source.device for source in sources]
-        ready = wait(devices, door, until_s)
-        if ready.device:
-            if self.config.sensor_pose.endpoint:
-                self.link.ask_poses(also_next=False)
-            self._gather()
-        return ready
+        return wait(devices, door, until_s)
 
-    def _gather(self) -> None:
-        """Wait until the frames that come are a whole scan, or no more come, and until the door has
-        answered: a pass for each of them would cost more than all work on the scan."""
-        until_s = time.monotonic() + ANSWER_S
-        for _ in range(GATHERS):
-            has_more, now_s = self.inputs.gather(), time.monotonic()
+    def take(self, ready: Ready = ALL) -> list[Scan]:
+        """Take what has arrived from the door, and from the devices; → scans.
+
+        Where a device is `ready`, wait until its frames are a whole scan, or no more come, and
+        until the door has answered: a pass for each of them would cost more than all work on the
+        scan.
+        """
+        began_ns, now_s = time.thread_time_ns(), time.monotonic()
+        stepped, sources = self.clock.read()[1], self.inputs.sources
+        if stepped:
+            self.pipeline.clock_stepped(stepped)
+            self.inputs.watch.clock_stepped()
+        if ready.device and self.config.sensor_pose.endpoint:
+            self.link.ask_poses(also_next=False)
+        # poses, subscriptions and changes; while nothing needs them, only now and then
+        if ready.door or self.pipeline.has_waiting or now_s >= self._next_look_s:
+            self._look(now_s)
+        scans: list[Scan] = []
+        # where poses alone have come, the sources are left to the next pass
+        if ready.device or not ready.door or self.inputs.come_by_door:
+            scans = polled(sources, now_s)
+        until_s = now_s + ANSWER_S
+        for _ in range(GATHERS if ready.device else 0):
+            now_s, has_more = time.monotonic(), not scans and any(s.is_coming for s in sources)
             if self.link.is_asking and now_s < until_s:
                 wait([], self.link.end, now_s + GATHER_S if has_more else until_s)
                 self._look(time.monotonic())
             elif has_more:
                 time.sleep(GATHER_S)
             else:
-                return
+                break
+            scans += polled(sources, time.monotonic())
+        self._source_ns = time.thread_time_ns() - began_ns
+        return scans
 
-    def tick(self, now_s: float, ready: Ready = ALL) -> None:
-        """One pass: inputs, pipeline, outputs. `now_s` is monotonic; `ready` names the inputs that
-        may have arrivals. Without any there is time for a search."""
-        start_ns, began_ns = time.perf_counter_ns(), time.thread_time_ns()
-        pipeline, publisher = self.pipeline, self.publisher
-        wall_s, stepped = self.clock.read()
-        if stepped:
-            pipeline.clock_stepped(stepped)
-            self.inputs.watch.clock_stepped()
-        # poses, subscriptions and changes; while nothing needs them, only now and then
-        if ready.door or pipeline.has_waiting or now_s >= self._next_look_s:
-            self._look(now_s)
-        # a pass for poses alone leaves the sources to the next one
-        polls = ready.device or not ready.door or self.inputs.come_by_door
-        scans = polled(self.inputs.sources, now_s) if polls else []
-        source_us = (time.perf_counter_ns() - start_ns) / 1000.0
-        cpu_ns = time.thread_time_ns()
-        # scans are stamped while polled, so the time must be read after that
-        for outcome in pipeline.advance(scans, time.time() if scans else wall_s):
+    def tick(self, now_s: float, scans: Sequence[Scan] = (), ready: Ready = ALL) -> None:
+        """One pass over the scans that were taken: pipeline and outputs. `now_s` is monotonic;
+        `ready` names the inputs that had arrivals. Without any there is time for a search."""
+        source_ns, self._source_ns = self._source_ns, 0
+        start_ns, cpu_ns = time.perf_counter_ns() - source_ns, time.thread_time_ns()
+        began_ns, source_us = cpu_ns - source_ns, source_ns / 1000.0
+        pipeline, publisher, wall_s = self.pipeline, self.publisher, time.time()
+        for outcome in pipeline.advance(scans, wall_s):
             pipeline.freshness.came(now_s, outcome.link)
             start_ns = publisher.outcome(outcome, source_us, start_ns, now_s)
             source_us = 0.0  # the time counts for the first scan alone

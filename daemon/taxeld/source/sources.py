@@ -27,7 +27,7 @@ from taxeld.source.session import Item
 from taxeld_protocol import cyskin
 from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Decoder, Scan
-from taxeld_protocol.frames import Chunk, Frame
+from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import NAMES, wired
 
 REOPEN_S = (0.2, 1.0)  # first and longest pause before a lost device is opened again
@@ -35,7 +35,6 @@ CLOSE_S = 0.2  # time for the last requests to leave the device
 PATIENCE_S = 0.5  # requests that wait longer are dropped: the bring-up asks again
 STOPPED_S = 0.25  # time without a poll after which the loop had been stopped,
 STOPPED_PERIODS = 2  # or these scan periods, if they are longer
-SIZES = 8  # scans that tell how large the next may be
 FRAME_BITS = 116  # a frame with 8 bytes and a short id, with the stuff bits of usual readings
 HELD_MAX = 256  # arrays between two polls; beyond, the oldest are lost
 SILENT_S = 1.0  # without a good array for so long, a line says why
@@ -61,6 +60,7 @@ class Source:
     device: Device | None = None  # the open device; the loop waits on its descriptor
     comes_by_door = False  # whether its frames come by the door, which gives them to `hear`
     is_busy = False  # whether it must be polled at every tick, as no descriptor would wake the loop
+    is_coming = False  # whether the last poll took frames and no whole scan: more are on their way
     waits_for = ""  # a line on why no scans come; empty where nothing is amiss
     firmware: Mapping[str, str] = MappingProxyType({})  # short id of a hub → its versions, in words
 
@@ -81,13 +81,8 @@ class Source:
             for item in items:
                 self._recorder.take(item, self.links.numbers[0])
 
-    def gather(self) -> bool:
-        """Read the device and keep the items for the next `poll`; → whether the rest of a scan is
-        on its way."""
-        return False
-
     def poll(self, now_s: float) -> list[Scan]:
-        """Scans that have arrived; `now_s` is monotonic."""
+        """Take what has arrived; → the scans that it ends. `now_s` is monotonic."""
         raise NotImplementedError
 
     def hear(self, frame: ArrayFrame) -> None:
@@ -166,10 +161,6 @@ class LiveSource(Source):
         self._is_placed = False  # whether a hub that is listened to has told its modules
         # requests that the device has not taken yet, and when each is given up
         self._requests = deque[tuple[float, Request]]()
-        self._held: list[Frame | Chunk] = []  # items read from the device and not decoded yet
-        self._size = 0  # frames, or bytes of a line, since the last scan
-        self._sizes = deque[float](maxlen=SIZES)  # of the last scans
-        self._failed: LostError | None = None  # loss of the device, after the held items
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._amiss: dict[str, str] = {}  # a line on each subject that was amiss
         self._due_s, self._behind_s = 0.0, 0.0  # the bring-up's time, and how far it is behind
@@ -192,10 +183,8 @@ class LiveSource(Source):
     def firmware(self) -> Mapping[str, str]:  # type: ignore[override]
         return self._bring_up.firmware if self._bring_up else {}
 
-    def gather(self) -> bool:
-        return self._read() and self._size < max(self._sizes, default=math.inf)
-
     def poll(self, now_s: float) -> list[Scan]:
+        self.is_coming = False
         if self.device is None:
             self._reopen(now_s)
         if self.device is None:
@@ -222,23 +211,8 @@ class LiveSource(Source):
         self.device.close(CLOSE_S)
         self.device = None
 
-    def _read(self) -> bool:
-        """Keep what has arrived; → whether anything has."""
-        items: Sequence[Frame | Chunk] = ()
-        if self.device is not None and self._failed is None:
-            try:
-                items = self.device.read()
-            except LostError as error:
-                self._failed = error
-        self._held += items
-        if items:
-            is_line = isinstance(items[0], Chunk)
-            self._size += sum(len(item.data) for item in items) if is_line else len(items)
-        return bool(items)
-
     def _take(self, device: Device) -> None:
-        self.device, self._failed = device, None
-        self._size = 0
+        self.device = device
         self._requests.clear()
         self._pause_s = REOPEN_S[0]
         self._polled_s = time.monotonic()
@@ -249,7 +223,7 @@ class LiveSource(Source):
         """One turn: hear what has come, and send what is due. Raises LostError."""
         is_late = now_s > self._polled_s + self._stopped_s
         self._polled_s = now_s
-        scans = self._hear(now_s, is_late=is_late)
+        scans = self._hear(device, now_s, is_late=is_late)
         if self._bring_up is not None:
             lacks = self._ask(self._bring_up, scans, now_s)
             device.is_starting = self._bring_up.is_starting
@@ -282,34 +256,25 @@ class LiveSource(Source):
         hub = next(iter(self.decoder.hubs))
         return "" if self._is_placed else modules.missing(f"hub {hub}")
 
-    def _hear(self, now_s: float, *, is_late: bool) -> list[Scan]:
-        """Decode the items that were gathered, or that wait in the device; → scans. Raises
-        LostError.
+    def _hear(self, device: Device, now_s: float, *, is_late: bool) -> list[Scan]:
+        """Decode what waits in the device; → scans. Raises LostError.
 
         `is_late`: the loop was stopped. Nothing tells when came what then waited on the line, which
         dates its data when they are read; so all of it is read now, and not recorded.
         """
-        while is_late and self._read():
-            pass
-        if not self._held:
-            self._read()
-        items, self._held = self._held, []
-        if self._failed is not None and not items:
-            raise self._failed
-        if items and isinstance(items[0], Chunk):  # a recording needs no row for each look at it
-            items = [Chunk(items[0].t, b"".join(item.data for item in items))]
+        items = [*device.read()]
+        while is_late and (more := device.read()):
+            items += more
         if not is_late:
             self._record(items)
-        decoded = list(self.decoder.take(items))
+        decoded = [*self.decoder.take(items)]
         if decoded or (items and isinstance(items[0], Frame)):  # a line's bytes may be answers
             self.bus.hear(now_s)
         if self._bring_up is not None:
             for packet, _ in decoded:
                 self._bring_up.on_packet(packet)
         scans = [scan for _, ended in decoded for scan in ended]
-        if scans:
-            self._sizes.append(self._size / len(scans))
-            self._size = 0
+        self.is_coming = bool(items) and not scans
         return scans
 
     def _ask(self, bring_up: BringUp, scans: Sequence[Scan], now_s: float) -> str:
