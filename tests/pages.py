@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 NUMBER = re.compile(r"-?\d+(\.\d*)?")
+PYTHON = re.compile(r"```python\n(.*?)```(?:\s+```text\n(.*?)```)?", re.DOTALL)
 FENCED = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
 
 
@@ -28,14 +29,8 @@ class Block(NamedTuple):
 
 
 def blocks(page: Path) -> list[Block]:
-    """Of a page in Markdown: a `text` block is the output of the `python` block before it."""
-    found: list[Block] = []
-    for language, text in FENCED.findall(page.read_text(encoding="utf-8")):
-        if language == "python":
-            found.append(Block(text, ""))
-        elif language == "text":
-            found[-1] = Block(found[-1].code, text)
-    return found
+    """The `python` blocks of a page in Markdown. A `text` block after one is its output."""
+    return [Block(*both) for both in PYTHON.findall(page.read_text(encoding="utf-8"))]
 
 
 def cells(notebook: Path) -> list[str]:

@@ -37,11 +37,12 @@ def plain(text: str) -> str:
     return re.sub(r"(?<=\[) +| +(?=[] ])", "", text)
 
 
-def test_the_page_prints_what_it_shows(place: Path) -> None:
+@pytest.mark.parametrize(("page", "least"), [(PAGE, 4), (ROOT / "README.md", 1)])
+def test_a_page_prints_what_it_shows(place: Path, page: Path, least: int) -> None:
     """Its blocks in their order; numbers may differ."""
     names: dict[str, Any] = {}
-    shown = pages.blocks(PAGE)
-    assert len(shown) >= 4
+    shown = pages.blocks(page)
+    assert len(shown) >= least
     with pages.working_in(place):
         for block in shown:
             said = pages.run(block.code, names)

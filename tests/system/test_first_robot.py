@@ -9,15 +9,16 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 import zmq
+from deploy import manuals
 
 from taxeld.door.heard import as_pose
 from taxeld.layout import read as layouts
 from taxeld.stream import topics
+from tests.pages import FENCED, NUMBER
 from tests.rig.skins import table_of
 
 pytestmark = pytest.mark.check
@@ -25,34 +26,12 @@ pytestmark = pytest.mark.check
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "first-robot.md"
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("*.md"))]
-PROGRAMS = {"taxeld": "taxeld", "taxeld-train": "taxeld_training", "taxeld-hil": "taxeld_hil"}
-NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
-class Shown(NamedTuple):
-    """A command of a console block, and the lines that the page shows of its output."""
-
-    command: str
-    lines: list[str]
-
-
-def console(page: Path) -> list[Shown]:
-    shown: list[Shown] = []
-    for block in re.findall(r"```console\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
-        for line in block.splitlines():
-            if line.startswith("$ "):
-                shown.append(Shown(line[2:], []))
-            else:
-                shown[-1].lines.append(line)
-    return shown
-
-
-def shell(page: Path, program: str) -> str:
-    """The first command of a shell block that begins with `program`."""
-    text = page.read_text(encoding="utf-8")
-    blocks = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
-    lines = [line for block in blocks for line in block.splitlines()]
-    return next(line.partition("#")[0] for line in lines if line.startswith(program))
+def shown(page: Path, language: str) -> list[str]:
+    """The blocks of a page in a language."""
+    blocks = FENCED.findall(page.read_text(encoding="utf-8"))
+    return [text for of, text in blocks if of == language]
 
 
 def follow(command: str, place: Path) -> subprocess.CompletedProcess[str]:
@@ -73,12 +52,13 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("guide")
     shutil.copy(ROOT / "examples" / "bracket.stl", made)
     (made / "bin").mkdir()
-    for name, package in PROGRAMS.items():
+    for name, module in manuals.PROGRAMS.items():
         program = made / "bin" / name
-        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {package}.cli "$@"\n')
+        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {module} "$@"\n')
         program.chmod(0o755)
     (made / "bin" / "python").symlink_to(sys.executable)
-    built = follow(shell(GUIDE, "taxeld-train build"), made)
+    [build] = [text for text in shown(GUIDE, "sh") if text.startswith("taxeld-train build")]
+    built = follow(build, made)
     assert built.returncode == 0, built.stderr
     (made / "built").write_text(built.stdout, encoding="utf-8")
     return made
@@ -95,9 +75,9 @@ def test_the_guides_build_ends_with_what_it_shows(place: Path) -> None:
 def test_the_guides_commands_print_what_it_shows(place: Path) -> None:
     """In their order, as later ones use what earlier ones wrote. Numbers may differ; one of which
     nothing is shown ends well."""
-    followed = console(GUIDE)
+    followed = [each for text in shown(GUIDE, "console") for each in text.split("$ ")[1:]]
     assert len(followed) >= 4
-    for command, lines in followed:
+    for command, *lines in map(str.splitlines, followed):
         ran = follow(command, place)
         if not lines:
             assert ran.returncode == 0, ran.stderr

@@ -13,9 +13,11 @@ import pytest
 from deploy import manuals
 
 from taxeld.command_line import ONE_THREAD
-from taxeld.config import gone
+from taxeld.config import file as config_file
+from taxeld.config import gate, gone
 from taxeld_hil.scenario.mesh_config import FOAMS
-from taxeld_hil.scenario.scenario import shipped
+from taxeld_hil.scenario.scenario import Scenario, shipped
+from tests import pages
 from tests.rig.commands import refused
 from tests.rig.processes import python
 
@@ -91,6 +93,24 @@ def test_each_command_has_a_sentence_and_examples_that_it_takes_and_its_own_usag
     usage, *_, fault = capsys.readouterr().err.splitlines()
     assert usage.startswith(" ".join(["usage:", program, *name, ""]))
     assert fault.endswith("error: unrecognized arguments: --nonsense")
+
+
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("docs/*.md"))]
+TYPED = re.compile(rf"^(?:\$ | {{4}})?((?:{'|'.join(PROGRAMS)}) .*?)(?: +[#>].*)?$", re.MULTILINE)
+ON_A_BUS = '[source]\nkind = "can"\nchannel = "can0"\n'
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pages_show_commands_and_files_that_are_taken(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for typed in TYPED.findall(text):
+        program, *arguments = shlex.split(typed)
+        PROGRAMS[program]._parser().parse_args(arguments)
+    for toml in (block for language, block in pages.FENCED.findall(text) if language == "toml"):
+        if page.name == "harness.md":
+            gate.parse(Scenario, toml, page.name)
+        else:
+            config_file.parse(toml if "[source]" in toml else ON_A_BUS + toml)
 
 
 @pytest.mark.parametrize(

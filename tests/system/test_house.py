@@ -3,11 +3,7 @@
 import json
 import re
 import tomllib
-from importlib import import_module
 from pathlib import Path
-
-import pytest
-from deploy import manuals
 
 from taxeld import __version__
 from taxeld.config import file as config_file
@@ -23,19 +19,14 @@ def test_the_version_is_the_same_wherever_it_stands() -> None:
     assert f"\n## {__version__}\n" in changes
 
 
-@pytest.mark.parametrize("program", manuals.PROGRAMS)
-def test_the_readme_lists_every_command(program: str) -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    parser = import_module(manuals.PROGRAMS[program])._parser()
-    for name in manuals.commands_of(parser):
-        assert re.search(rf"`{program} {name}\b", text), name
-
-
-def test_the_readme_lists_every_make_target() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_contributing_lists_every_make_target_and_files_that_are_there() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     lines = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
     for target in set(" ".join(lines).split()) - {"clean"}:
         assert f"`make {target}`" in text, target
+    for name in re.findall(r"`(\w+/[\w/]+\.\w+)`", text):
+        places = (ROOT / part / name for part in (".", "daemon", "training", "hil"))
+        assert any(place.is_file() for place in places), name
 
 
 def test_the_performance_pages_sampler_table_is_what_the_bundles_say() -> None:
