@@ -3,20 +3,19 @@
 It is a process of its own that brings the skin up; `taxeld run --record` records beside estimates.
 """
 
-import contextlib
 import time
 from collections.abc import Callable
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
 from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
 from taxeld.pipeline.poses import PoseTrack
-from taxeld.service.doorkeeper import Doorkeeper, poses_alone
+from taxeld.service.inputs import Inputs
 from taxeld.source import modules
-from taxeld.source.opening import open_source, open_sources
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source, polled
+from taxeld.source.sources import Source
 from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Decoder, Scan
 
@@ -60,29 +59,19 @@ class Recording:
         Raises:
             SetupError: a device or the directory cannot be used.
         """
-        config = self.config
-        with contextlib.ExitStack() as opened:
-            door = opened.enter_context(contextlib.closing(Doorkeeper(poses_alone(config))))
-            recorder = opened.enter_context(self._recorder)
-            numbers = range(len(config.names))
-            tracks = [PoseTrack(partial(recorder.pose, link=k)) for k in numbers]
-            link = Link({}, lambda *pose: tracks[pose[4]].add(*pose[:4], time.time()), {})
-            skins = [layouts.load(one.skin.layout) for one in config.each]
-            open_one = partial(open_source, recorder=recorder)
-            sources = open_sources(config, skins, open_one, opened)
-            for source in sources:
-                if source.comes_by_door:
-                    link.on_array = source.hear
-            door.wait(link)
+        config, recorder = self.config, self._recorder
+        numbers = range(len(config.names))
+        tracks = [PoseTrack(partial(recorder.pose, link=k)) for k in numbers]
+        link = Link({}, lambda *pose: tracks[pose[4]].add(*pose[:4], time.time()), {})
+        skins = [layouts.load(one.skin.layout) for one in config.each]
+        with recorder, closing(Inputs(config, skins, link, recorder)) as inputs:
             while not self.stopping and not self.failed:
-                now_s = time.monotonic()
-                door.look(now_s)
-                scans = polled(sources, now_s)
+                scans = inputs.poll(time.monotonic())
                 self.scans += len(scans)
                 if on_poll is not None:
                     on_poll([scan for scan in scans if not scan.link], tracks[0])
                 time.sleep(POLL_S)
-        return self._summary() + self._listed(sources[0])
+        return self._summary() + self._listed(inputs.sources[0])
 
     def _listed(self, source: Source) -> str:
         """Write the hubs' modules to a file for later listeners; → a line that names the file."""

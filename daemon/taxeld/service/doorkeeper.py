@@ -14,14 +14,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from taxeld.config.tables import Config
 from taxeld.door.settings import OOM_SCORE, REFUSED, Settings
 from taxeld.errors import SetupError
-from taxeld.source.sources import ArraySource, Source
 from taxeld.stream import pair
 from taxeld.stream.link import Link
 
@@ -174,21 +172,3 @@ def poses_alone(config: Config) -> Settings:
         array=next((bus.endpoint for bus, _ in config.buses if bus.kind == "array"), ""),
         keys=config.curve.directory,
     )
-
-
-@contextlib.contextmanager
-def array_heard(source: Source, endpoint: str) -> Iterator[None]:
-    """Meanwhile a door hears an array for a source that nothing but its poller looks after.
-
-    Raises:
-        SetupError: the endpoint cannot be used.
-    """
-    if not isinstance(source, ArraySource):
-        yield
-        return
-    link = Link({}, lambda *_: None, {})
-    with contextlib.closing(Doorkeeper(Settings(array=endpoint))) as door:
-        link.on_array = source.hear
-        source.look = door.look
-        door.wait(link)
-        yield

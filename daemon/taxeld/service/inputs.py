@@ -4,13 +4,18 @@ latter (docs/troubleshooting.md has more mistakes, by the counts of `taxeld stat
 import contextlib
 import math
 from collections import deque
+from collections.abc import Sequence
 from functools import partial
 
+from taxeld.config.tables import Config
+from taxeld.layout.layout import Layout
 from taxeld.pipeline.poses import FAR_M
-from taxeld.service.prepare import Prepared
+from taxeld.service.doorkeeper import Doorkeeper, poses_alone
 from taxeld.source.opening import open_source, open_sources
 from taxeld.source.recorder import Recorder
+from taxeld.source.sources import polled
 from taxeld.stream.link import Link, PeerLine
+from taxeld_protocol.decoder import Scan
 
 LOOKS = 5  # looks at the poses, a second each, over which their rate and clock are judged
 SEEN = 3  # looks in a row that must show a fault: a busy machine is late now and then
@@ -86,34 +91,43 @@ class PoseWatch:
 
 
 class Inputs:
-    """The sources of one run, and the watch over the first link's poses."""
+    """The sources of one run, and the door by which poses and arrays come; to be closed."""
 
     def __init__(
-        self, made: Prepared, link: Link, recorder: Recorder | None, opened: contextlib.ExitStack
+        self,
+        config: Config,
+        layouts: Sequence[Layout],
+        link: Link,
+        recorder: Recorder | None = None,
+        door: Doorkeeper | None = None,
     ) -> None:
-        """Open all sources, until `opened` ends; those that come by the door come by `link`.
+        """Open all sources; `layouts`: of each link. `recorder` gets what the devices read. A
+        daemon has a `door` of its own, and devices that are away are opened later; else one is
+        started that serves nobody.
 
         Raises:
             SetupError: one of them cannot be used.
         """
-        self._names = made.config.names
-        self.watch = PoseWatch(
-            made.config.sensor_pose.endpoint, made.config.source.period_ms / 1000.0
-        )
-        # that of the first link first
-        self.sources = open_sources(
-            made.config,
-            made.layouts,
-            partial(open_source, recorder=recorder, wait=True),
-            opened,
-        )
-        self.come_by_door = False
-        for source in self.sources:
-            if source.comes_by_door:
-                self.come_by_door, link.on_array = True, source.hear
-            wirings = [made.pipeline.stages[k].skin.wiring for k in source.links.numbers]
-            for wiring in wirings:
-                wiring.neighbours = {sui for each in wirings for sui in each.suis}
+        self._names, self._link = config.names, link
+        self.watch = PoseWatch(config.sensor_pose.endpoint, config.source.period_ms / 1000.0)
+        open_one = partial(open_source, recorder=recorder, wait=door is not None)
+        with contextlib.ExitStack() as opened:
+            alone = door or Doorkeeper(poses_alone(config))
+            self.door = opened.enter_context(contextlib.closing(alone))
+            # that of the first link first
+            self.sources = open_sources(config, layouts, open_one, opened)
+            arrays = [source for source in self.sources if source.comes_by_door]
+            self.come_by_door = bool(arrays)
+            for source in arrays:
+                link.on_array = source.hear
+            if door is None:
+                alone.wait(link)
+            self.close = opened.pop_all().close
+
+    def poll(self, now_s: float) -> list[Scan]:
+        """Take all that has come by the monotonic time `now_s`; → scans."""
+        self.door.look(now_s)
+        return polled(self.sources, now_s)
 
     @property
     def waits_for(self) -> str:
@@ -126,10 +140,11 @@ class Inputs:
             if each.waits_for
         )
 
-    def look(self, link: Link, t: float) -> None:
+    def look(self, t: float) -> None:
         """Once a second, at the Unix time t: take what the door says of robot and array."""
+        report = self._link.report
         if self.watch.endpoint:
-            self.watch.look(t, link.report.robot, is_heard=link.is_heard)
-        array = link.report.array
+            self.watch.look(t, report.robot, is_heard=self._link.is_heard)
+        array = report.array
         for source in self.sources:
             source.heed(connected=array.connected, malformed=array.malformed, reason=array.reason)

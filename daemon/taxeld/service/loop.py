@@ -74,7 +74,8 @@ class Daemon:
             opened.callback(self.kept.close)
             if recorder:
                 opened.enter_context(recorder)
-            self.inputs = Inputs(made, self.link, recorder, opened)
+            self.inputs = Inputs(self.config, self.layouts, self.link, recorder, self.door)
+            opened.enter_context(contextlib.closing(self.inputs))
             self.publisher = Publisher(made, self.inputs, self.link, self.counters)
             self.door.wait(self.link)
             self._opened = opened.pop_all()
@@ -188,7 +189,7 @@ class Daemon:
         self.kept.remember(self.link, now_s)
         if publisher.send_due(now_s):
             t = time.time()
-            self.inputs.look(self.link, t)
+            self.inputs.look(t)
             publisher.health(self.health(now_s, t), now_s)
         own_s = (time.thread_time_ns() - began_ns) / 1e9
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0

@@ -50,6 +50,10 @@ def prepared(
     samples = choice.samples(bundles, config.filter, clock)
     models, ahead_s = [one.model for one in bundles], 0.0 if recorded else EXTRAPOLATE_S
     pipeline = Pipeline(config, skins, models, samples, on_poses, calibrations, ahead_s)
+    for _, numbers in config.buses:
+        wirings = [pipeline.stages[k].skin.wiring for k in numbers]
+        for wiring in wirings:
+            wiring.neighbours = {sui for each in wirings for sui in each.suis}
     return Prepared(config, skins, bundles, pipeline)
 
 

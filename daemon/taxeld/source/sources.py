@@ -364,7 +364,6 @@ class ArraySource(Source):
         self._endpoint = config.endpoint
         self._held: deque[ArrayFrame] = deque(maxlen=HELD_MAX)
         self._good_s: float | None = None  # when a frame was used last
-        self.look: Callable[[float], None] = lambda _: None  # at the door, where no loop does it
         self._said: set[str] = set()
         self._malformed, self._reason, self._connected = 0, "", False
 
@@ -378,7 +377,6 @@ class ArraySource(Source):
         self._reason = f" (the last was none: {reason})" if reason else ""
 
     def poll(self, now_s: float) -> list[Scan]:
-        self.look(now_s)
         self._good_s = now_s if self._good_s is None else self._good_s
         self.decoder.now_t = time.time()
         scans: list[Scan] = []

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from taxeld.config import endpoints
-from taxeld.config.tables import SourceConfig
+from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.service.doorkeeper import array_heard
+from taxeld.service.inputs import Inputs
 from taxeld.source import modules
-from taxeld.source.opening import open_source
 from taxeld.source.recorder import Recorder
+from taxeld.stream.link import Link
 from taxeld_hil.acceptance.checks import rules
 from taxeld_hil.acceptance.received import Received, Say, pressed_by_hand, receive
 from taxeld_hil.rules import Rule, failed, lines
@@ -57,15 +57,17 @@ def run(
     config = source_of(target, period_ms)
     when = time.strftime("%Y-%m-%d %H:%M:%S")
     try:
-        with Recorder(out, moves=False) as recorder:
+        with contextlib.ExitStack() as stack:
+            recorder = stack.enter_context(Recorder(out, moves=False))
             try:
-                source = open_source(config, layout, recorder)
+                link = Link({}, lambda *_: None, {})
+                inputs = Inputs(Config(source=config), [layout], link, recorder)
             except SetupError as error:  # a target has no configuration key to name
                 raise SetupError(f"TARGET {target}: {str(error).partition(': ')[2]}") from None
-            with contextlib.closing(source), array_heard(source, config.endpoint):
-                got = receive(source, layout, say, seconds, period_ms, full_scale_counts)
-                if presses:
-                    got = pressed_by_hand(source, got, say)
+            stack.enter_context(contextlib.closing(inputs))
+            got = receive(inputs, layout, say, seconds, period_ms, full_scale_counts)
+            if presses:
+                got = pressed_by_hand(inputs, got, say)
         found = rules(got)
         text = page(target, when, got, found)
         out.mkdir(parents=True, exist_ok=True)  # a recording makes it with its first frame

@@ -17,6 +17,7 @@ from taxeld.arrays import Bools, Floats
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.noise import FLOOR
+from taxeld.service.inputs import Inputs
 from taxeld.skin.rest import NOISE_MAX
 from taxeld.skin.skin import Skin
 from taxeld.source.bring_up import SILENCE_S
@@ -119,19 +120,20 @@ class Received:
 
 
 def receive(
-    source: Source, layout: Layout, say: Say, seconds: float, period_ms: int, full_scale: float
+    inputs: Inputs, layout: Layout, say: Say, seconds: float, period_ms: int, full_scale: float
 ) -> Received:
     """Bring up the skin behind an open source, and listen to it for so many seconds."""
+    (source,) = inputs.sources
     began = _counters(source)
     say("looking for hubs")
-    if any(True for _ in scans(source, ANSWER_S)):
-        for _ in scans(source, SILENCE_S):  # other hubs may be slower
+    if any(True for _ in scans(inputs, ANSWER_S)):
+        for _ in scans(inputs, SILENCE_S):  # other hubs may be slower
             pass
         say(f"listening for {seconds:g} s: leave the skin untouched")
     else:
         seconds = 0.0
     before, start = _counters(source), time.time()
-    came = list(scans(source, seconds))
+    came = list(scans(inputs, seconds))
     return Received(
         layout,
         period_ms,
@@ -145,11 +147,11 @@ def receive(
     )
 
 
-def scans(source: Source, seconds: float) -> Iterator[Scan]:
+def scans(inputs: Inputs, seconds: float) -> Iterator[Scan]:
     """The scans that come within so many seconds."""
     end = time.monotonic() + seconds
     while (now := time.monotonic()) < end:
-        yield from source.poll(now)
+        yield from inputs.poll(now)
         time.sleep(POLL_S)
 
 
@@ -176,7 +178,7 @@ def _tables(source: Source, ids: set[int]) -> dict[int, Sequence[Module]]:
     return {ihb: modules for modules, ihb in hubs.items()}
 
 
-def pressed_by_hand(source: Source, got: Received, say: Say) -> Received:
+def pressed_by_hand(inputs: Inputs, got: Received, say: Say) -> Received:
     """The same with a press on every module that has a usable taxel; Ctrl-C ends them early, and
     those that are left are not answered."""
     found: dict[int, Press] = {}
@@ -190,7 +192,7 @@ def pressed_by_hand(source: Source, got: Received, say: Say) -> Received:
             for number, asked in enumerate(modules, 1):
                 for _ in range(TRIES):
                     say(f"{number}/{len(modules)} press {_place(got.layout, asked)}")
-                    peak = pressed(_followed(source, skin), free=not skin.touched)
+                    peak = pressed(_followed(inputs, skin), free=not skin.touched)
                     if peak is None:
                         say("  nothing was felt")
                         break
@@ -226,9 +228,9 @@ def pressed(readings: Iterable[tuple[float, Floats]], *, free: bool) -> Floats |
     return peak
 
 
-def _followed(source: Source, skin: Skin) -> Iterator[tuple[float, Floats]]:
+def _followed(inputs: Inputs, skin: Skin) -> Iterator[tuple[float, Floats]]:
     """Times of the scans for a press, and counts (M,) over the idle level where it is felt."""
-    for scan in scans(source, PRESS_S):
+    for scan in scans(inputs, PRESS_S):
         if (activation := skin.on_scan(scan)) is not None:
             yield scan.t, np.where(activation.z > 0.0, skin.over, 0.0)
 
