@@ -1,5 +1,5 @@
 // The smallest subscriber: print where the object is whenever a touch has ended.
-// npm install; node subscribe.mjs
+// Node from 18 on: npm install; node subscribe.mjs
 import { decode } from "@msgpack/msgpack";
 import { Subscriber } from "zeromq";
 

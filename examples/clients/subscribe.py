@@ -1,4 +1,7 @@
-"""The smallest subscriber: print where the object is whenever a touch has ended."""
+"""The smallest subscriber: print where the object is whenever a touch has ended.
+
+It needs `pip install pyzmq msgpack`.
+"""
 
 import argparse
 import os

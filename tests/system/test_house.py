@@ -52,6 +52,16 @@ def test_what_is_to_be_installed_comes_from_the_clone_or_a_wheel_and_from_no_ind
             assert {one.strip("`'") for one in named} <= {".", "WHEEL"}, line
 
 
+def test_the_way_of_a_scan_names_methods_that_are_there() -> None:
+    _, block, _ = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("```")
+    rooms = (ROOT / "daemon", ROOT / "firmware_protocol")
+    files = [path.read_text(encoding="utf-8") for room in rooms for path in room.rglob("*.py")]
+    named = re.findall(r"\b([A-Z]\w+)\.(\w+)", block)
+    assert len(named) > 10
+    for owner, name in named:
+        assert any(f"class {owner}" in text and f"def {name}(" in text for text in files), name
+
+
 def test_the_example_configuration_is_fine() -> None:
     assert config_file.load(ROOT / "examples" / "can0.toml").source.channel == "can0"
 
