@@ -22,6 +22,7 @@ from taxeld.model.response import SAG_M, SAG_SD
 
 REMEMBERED = 16  # scans of touches at most
 SILENT_MAX = 32  # silent scans at most
+ANSWERS = 0.95  # share of presses that a taxel answers, until it is known better
 VERSION = 4  # of `scan_arrays` and `SkinState`
 OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd", "answers"
 OF_TAXELS = "z", "live", "floor", "residue", *OF_NOISE
@@ -134,7 +135,7 @@ def surplus(scans: Sequence[ScanEvidence]) -> int | None:
 
 def noise_of(config: FilterConfig) -> Noise:
     """Errors of a skin of which no more is known than its kind."""
-    return Noise(config.noise_sigma, config.gain_cv, sag_m=SAG_M, sag_sd=SAG_SD)
+    return Noise(config.noise_sigma, config.gain_cv, sag_m=SAG_M, sag_sd=SAG_SD, answers=ANSWERS)
 
 
 def fields_of(z: Floats, like: Observation, noise: Noise) -> Grid:

@@ -32,9 +32,8 @@ OWN = 0.5  # share of the sag's variance that is the taxel's own; the rest is a 
 ROBUST = 2.0  # standard deviations beyond which a reading teaches less (Huber 1964)
 LEAST = np.array([[0.4], [-0.9], [np.log(2e-4)]])  # least gain, onset, log length
 MOST = np.array([[2.5], [3.0], [np.log(0.012)]])
-ANSWERS = 0.95  # mean share of presses that a taxel answers, with which the first lesson begins
 FIRM = 2.0  # standard deviations over the floor of an expected depth that must be answered
-RELIABLE = 0.998  # greatest share that is taken from a calibration
+RELIABLE = 0.998  # greatest share of presses that a taxel is taken to answer
 ANSWERED = 2.0  # presses that this mean, or a calibration's, counts for
 
 
@@ -97,17 +96,18 @@ class SkinFit:
         """Of M taxels whose readings have the errors `noise` until more is known; from a
         calibration, or of a skin of which no more is known than its kind."""
         ones = np.ones(taxels)
-        gain, onset, answers, self.bend = ones, 0.0 * ones, ANSWERS * ones, 0.0
+        gain, onset, answers, self.bend = ones, 0.0 * ones, noise.answers * ones, 0.0
         self._within = min(WITHIN_CV, float(noise.gain_cv))
         sd = np.stack([np.sqrt(noise.gain_cv**2 - self._within**2) * ones, ONSET_SD * ones])
         if calibration is not None:
             gain, onset, self.bend = calibration.gain, calibration.onset, calibration.bend
-            answers = np.clip(calibration.answers, 1.0 - RELIABLE, RELIABLE)
+            answers = calibration.answers
             self._within = float(noise.gain_cv)
             sd = np.stack([calibration.gain_sd, calibration.onset_sd])
         sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * SAG_SD * ones])
         self.lessons = 0  # lessons that were kept
         self._noise, self._usual = noise, np.median(sd[0])
+        answers = np.clip(answers, 1.0 - RELIABLE, RELIABLE)
         count = ANSWERED * np.stack([answers, 1.0 - answers])
         self.restore(np.vstack([gain, onset, np.log(SAG_M) * ones, sd, count]))
 

@@ -73,14 +73,15 @@ class SkinReader:
     """Reads true activations as a filter sees them.
 
     A taxel that is pressed reads the activation times its gain, and departs from that by the
-    filter's noise; one that is not has the skin's own noise, far under its floor. Either reads as
-    well what presses beside it leave there, of the size of the `Leak`'s bound. The skin reports 0
-    under its floor, and the filter takes a reading under the bound for 0.
+    filter's noise, or does not answer; one that is not has the skin's own noise, far under its
+    floor. Either reads as well what presses beside it leave there, of the size of the `Leak`'s
+    bound. The skin reports 0 under its floor, and the filter takes a reading under the bound for 0.
     """
 
     def __init__(self, leak: Leak, noise: Noise, seed: int, device: torch.device) -> None:
         self.generator = torch.Generator(device).manual_seed(seed)
         self._leak, self._gain_cv = leak, float(noise.gain_cv)
+        self._answers = float(noise.answers)
         self._sigma = torch.tensor(float(noise.sigma), device=device)
 
     def read(self, h: Tensor, live: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -91,6 +92,7 @@ class SkinReader:
         z = h + sd * self._normal(h)  # one deviation for gain and noise
         leak = self._leak.drawn((z * live).clamp(0.0, 1.0).cpu().numpy())
         z = ((z + torch.from_numpy(leak).to(z) * self._normal(h)) * live).clamp(0.0, 1.0)
+        z = z * (torch.rand(z.shape, generator=self.generator, device=z.device) < self._answers)
         floor = _felt(z, floor)
         z = torch.where(z >= floor, z, 0.0)
         seen = self._leak.without(z.cpu().numpy(), floor.cpu().numpy())
