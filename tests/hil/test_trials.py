@@ -238,7 +238,7 @@ def test_what_cannot_be_touched_or_is_no_name_is_one_line(monkeypatch: pytest.Mo
 def test_a_trial_notes_of_which_object_each_estimate_is_and_how_far_off() -> None:
     found = play(Case((MUG, BOX), BOX), 2)
     assert len(found) == 8
-    assert found[-1].object == 1
+    assert found[-1].named == 1
     assert found[-1].objects[1] > 0.9
     assert found[-1].error_mm < 10.0
     assert all(touch.ms > touch.idle_ms * SCAN_S > 0.0 for touch in found)

@@ -144,7 +144,7 @@ def known(*trials: Sequence[Touch], touched: Subject = BOX) -> Played:
 
 def test_the_named_object_is_right_where_it_is_touched_and_strangers_stand_out_by_other() -> None:
     box = touch(objects=(0.9, 0.05), other=0.05)
-    taken = touch(math.nan, objects=(0.05, 0.9), other=0.05, object=1)
+    taken = touch(math.nan, objects=(0.05, 0.9), other=0.05, named=1)
     strange = touch(math.nan, 0.999, objects=(0.1, 0.0), other=0.9)
     group = [known([box, taken], [box, box]), known([strange, box], touched=CAN)]
     mine, strangers = score.rows(group, [["touched"]])
@@ -180,3 +180,8 @@ def test_every_touch_is_kept_as_a_row_of_its_own() -> None:
     assert {*LABELS, *Touch._fields, "known"} <= rows[0].keys()
     assert (rows[0]["error_mm"], rows[1]["error_mm"]) == (1.0, None)
     json.dumps(rows, allow_nan=False)
+
+
+def test_a_record_of_a_touch_has_the_touched_object_and_the_named_one() -> None:
+    (record,) = played([GOOD], object="mug").records()
+    assert (record["object"], record["named"]) == ("mug", GOOD.named)

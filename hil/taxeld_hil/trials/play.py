@@ -35,7 +35,7 @@ SEEN_S = 0.4
 class Touch(NamedTuple):
     """An estimate after a touch."""
 
-    object: int  # number of the known object that it is of
+    named: int  # number of the known object that it is of
     error_mm: float  # symmetric ADD, to the nearer of two of a kind; nan: another object is touched
     p: float  # 0 where the estimate is not valid: it claims nothing
     radius_mm: float
@@ -182,7 +182,7 @@ def touch_of(
 ) -> Touch:
     """An estimate after a touch, with its p and error; `path_mm`: errors over a push."""
     return Touch(
-        object=now.object,
+        named=now.object,
         error_mm=round(error_mm, 4),
         p=round(p, 6),
         radius_mm=round(1e3 * now.radius_m, 4),

@@ -197,9 +197,9 @@ def _larger(one: Floats, two: Floats) -> list[float]:
 
 def _identity(group: Sequence[Played], of: Claims) -> Row:
     """Whether the named object is the touched one, and what is named for sure in its place."""
-    right = np.concatenate([each.column("object") == each.true for each in group])
+    right = np.concatenate([each.column("named") == each.true for each in group])
     touches = [touch for each in group for trial in each.trials for touch in trial]
-    named = np.array([touch.objects[touch.object] for touch in touches])
+    named = np.array([touch.objects[touch.named] for touch in touches])
     second = [(each.true, t.objects[-1]) for each in group for trial in each.trials for t in trial]
     told = {}
     if {len(each.known) for each in group} == {2} and {0, 1} == {k for k, _ in second}:
@@ -209,7 +209,7 @@ def _identity(group: Sequence[Played], of: Claims) -> Row:
     taken = Counter(
         f"{each.labels['object']} for {each.known[int(number)]}"
         for each in group
-        for number in each.column("object")[is_sure(each.column("p"))]
+        for number in each.column("named")[is_sure(each.column("p"))]
         if number != each.true
     )
     return {
