@@ -96,7 +96,9 @@ def test_charts_stand_beside_the_rows(block: Path, tmp_path: Path) -> None:
     assert {row["of"].get("cell") for row in rows} >= {"exact", "another object"}
     (wrong,) = (row for row in rows if row["of"] == {"cell": "another object"})
     assert (wrong["trials"], wrong["found"]) == (10, [0] * 8)
-    assert 5_000 < (tmp_path / "out" / "map.png").stat().st_size < 300_000
+    asked(tmp_path, block, "whole", "--cells", "table,table 25,table 50", "--seeds", "1")
+    for name in ("map", "front"):
+        assert 5_000 < (tmp_path / "out" / f"{name}.png").stat().st_size < 300_000
 
 
 def test_the_grid_meets_the_trials_of_what_ships_and_looks_once(block: Path) -> None:
@@ -109,15 +111,19 @@ def test_the_grid_meets_the_trials_of_what_ships_and_looks_once(block: Path) -> 
     assert all(math.isnan(touch.p) for touch in grid), "it publishes no p"
 
 
-def test_samplers_are_trained_once(
+def test_samplers_are_trained_once_and_measured_by_the_exact_posterior(
     block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paper = samplers.LEARNED["paper"]
     assert (paper.training.contacts, paper.frame, paper.view) == (10_000, "pose", "plain")
     few = replace(paper, network=replace(paper.network, steps=2))  # 100 are slow to export
     monkeypatch.setitem(samplers.LEARNED, "paper", few)
-    given = questions.load("samplers", Selection(quick=True, objects=(str(block),)))
+    given = questions.load("published", Selection(quick=True, objects=(str(block),)))
     question, workers = replace(given, effort=0.001), Workers(1, tmp_path)
+    measured = replace(question, readings=4, columns=(8,), proposals=("table", "paper"))
+    apart = Workers(1, tmp_path / "rings")
+    table, learned = samplers.rows(measured, apart.memory, apart.run)
+    assert table["distance"] < learned["distance"]
     only = Selection(only=("as published",))
     cells = [
         replace(cell, case=replace(cell.case, layouts=(RING,), touches=1))

@@ -26,6 +26,8 @@ def test_every_question_can_be_asked_and_no_two_of_its_cells_are_the_same_trials
     assert ", ".join(questions.names()) == QUESTIONS
     for name in questions.names(recorded=False):
         question = questions.load(name, ALL)
+        if not question.cells:  # samplers are not tried, but measured
+            continue
         counts = Counter(repr(cell.case) for cell in cells(name))
         assert max(counts.values()) == 1
         assert set().union(*question.by) <= {*cells(name)[0].labels}

@@ -12,7 +12,7 @@ from taxeld.errors import SetupError
 from taxeld_hil import options
 from taxeld_hil.objects import HEIGHT_M
 
-QUESTIONS = "works, whole, map, which, advice, push, samplers, real"
+QUESTIONS = "works, whole, map, which, advice, push, published, samplers, real"
 DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
 OBJECT = "a YCB id (025_mug), or a mesh file in metres whose z axis points up"
 

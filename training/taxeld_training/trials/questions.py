@@ -23,7 +23,7 @@ FOAMS = "exact", "typical", "poor"  # cells
 ALL, TUNED, NEW, SOFT, WRONG = "all", "tuned", "not tuned", "soft skin", "another object"  # parts
 LOOKED_AT = "two"  # objects on which the filter's constants were set
 TRIAL_KEYS = {each.name for each in fields(Conditions)}
-QUICK_SEEDS, QUICK_OBJECTS, QUICK_CELLS, QUICK_EFFORT = 2, 2, 2, 0.02
+QUICK_SEEDS, QUICK_OBJECTS, QUICK_CELLS, QUICK_READINGS, QUICK_EFFORT = 2, 2, 2, 4, 0.02
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,13 @@ class Question:
     guides: tuple[str, ...] = ("random",)
     motions: tuple[str, ...] = ("none",)
     touches: int = 8
-    seeds: int = 40
+    seeds: int = 20
     effort: float = 0.5  # share of a sampler's full training
     knows: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # lists of known objects
     strangers: tuple[str, ...] = ()  # objects that the first of these lists meets as well
+    readings: int = 0  # for each object and ring, on which samplers are measured
+    columns: tuple[int, ...] = ()  # of these rings
+    proposals: tuple[str, ...] = ()
     tilts: tuple[float, ...] = ()  # of recorded arms, at most [rad]: its trials are recordings
 
 
@@ -99,6 +102,8 @@ def load(name: str, asked: Selection) -> Question:
     if asked.quick:
         given |= {"seeds": QUICK_SEEDS, "effort": QUICK_EFFORT}
         given["tilts"] = given.get("tilts", [])[:1]
+        given["columns"] = given.get("columns", [])[:1]
+        given["readings"] = QUICK_READINGS
         given["methods"] = [each for each in given.get("methods", ["table"]) if each != GRID]
         if not asked.only:
             given["cells"] = given["cells"][:QUICK_CELLS]

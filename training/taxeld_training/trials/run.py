@@ -48,13 +48,14 @@ def answer(names: Sequence[str], asked: Selection, workers: Workers, out: Path) 
         SetupError: there is no such question, object or cell, or a skin misses an object.
     """
     todo = [questions.load(name, asked) for name in names]
-    chosen = [[] if each.tilts else questions.cells(each, asked) for each in todo]
+    chosen = [questions.cells(each, asked) if each.cells else [] for each in todo]
     for question, cells in zip(todo, chosen, strict=True):
         if question.tilts:
             played = real.run(question, asked, workers.run)
         else:
             played = run(question, cells, asked, workers)
         rows = score.rows(played, question.by)
+        rows += samplers.rows(question, workers.memory, workers.run)
         given = {"question": question.says, **_made(question.name)}
         data = tables.write(out / f"{question.name}.json", given, rows)
         yield f"{question.name}: {question.says}"

@@ -1,4 +1,4 @@
-"""Samplers of the questions: trained once and kept."""
+"""Samplers of the questions: trained once and kept, and held against the exact posterior."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
@@ -7,14 +7,23 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from taxeld.layout import read as layouts
+from taxeld.model.contacts import Proposal
+from taxeld.proposals.analytic import ANALYTIC
+from taxeld.proposals.sampler import Sampler
 from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
 from taxeld_hil.trials.case import Case
 from taxeld_hil.world.subjects import Subject, model_of
+from taxeld_training.candidates import interval
+from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.variants import Variant
+from taxeld_training.trials.questions import Question
+from taxeld_training.trials.score import rounded
 
+Row: TypeAlias = dict[str, Any]
 Wanted: TypeAlias = tuple[Subject, tuple[str, ...], str]  # an object, a skin, a proposal
 Run: TypeAlias = Callable[[Sequence[Job]], dict[str, Any]]  # results by job name
 
@@ -24,6 +33,14 @@ LEARNED: dict[str, Variant] = {  # proposals that are trained here
     "ddpm": replace(_DIFFUSION, network=replace(_DIFFUSION.network, steps=8)),
     "paper": variants.paper(),
 }
+RING = "cylinder:rows=5,columns={},radius_m=0.04,pitch_m=0.015"
+DECIDES = (  # code that decides how far samplers are from the exact posterior
+    "taxeld/model/*.py",
+    "taxeld/proposals/*.py",
+    "taxeld_hil/objects/*.py",
+    "taxeld_training/limits/*.py",
+    "taxeld_training/models/*.py",
+)
 
 
 def wanted(case: Case) -> list[Wanted]:
@@ -60,3 +77,55 @@ def train(subject: Subject, skin: str, variant: Variant, file: str) -> dict[str,
     gap = export.export(sampler, len(model.layout), part, asdict(variant))
     part.replace(file)
     return {"differs": gap}
+
+
+def rows(question: Question, memory: Path, run: Run) -> list[Row]:
+    """How far the draws of each proposal are from the exact posterior, on rings of some columns: a
+    row an object, ring and proposal."""
+    grid = [
+        (Subject(name), RING.format(n), n) for name in question.objects for n in question.columns
+    ]
+    each = [(of, (skin,), name) for of, skin, _ in grid for name in question.proposals]
+    kept = files(each, question.effort, memory, run)
+    todo = [
+        Job(
+            f"readings of {of.name} on {columns} columns",
+            distances,
+            (of, skin, question.proposals, question.readings),
+            ([kept.get((of, (skin,), name), "") for name in question.proposals],),
+            jobs.code(DECIDES),
+        )
+        for of, skin, columns in grid
+    ]
+    done = run(todo)
+    return [
+        {"of": {"object": of.name, "columns": str(columns), "proposal": name}, **figures}
+        for (of, _, columns), job in zip(grid, todo, strict=True)
+        for name, figures in done[job.name].items()
+    ]
+
+
+def distances(
+    subject: Subject, skin: str, names: Sequence[str], readings: int, kept: Sequence[str]
+) -> dict[str, Row]:
+    """A job: of each proposal the mean energy distance of its draws to as many exact ones, its
+    interval over the readings, and what a call costs; `floor` is what chance alone makes of it."""
+    model, rng = model_of(subject, skin), np.random.default_rng(0)
+    to = quality.reference(model, IN_USE, readings, rng)
+    found = {}
+    for name, file in zip(names, kept, strict=True):
+        proposal: Proposal
+        if name in ANALYTIC:
+            proposal = ANALYTIC[name](model)
+        else:
+            path = Path(file)
+            proposal = Sampler(path.read_bytes(), layouts.load(skin), LEARNED[name].kind, path)
+        off = quality.distances(proposal, to, rng)
+        found[name] = {
+            "readings": len(off),
+            "distance": round(float(off.mean()), 5),
+            "ci": {"distance": rounded(interval(off), 5)},
+            "floor": round(to.floor, 5),
+            "ms": round(quality.cost_ms(proposal, to, rng), 3),
+        }
+    return found
