@@ -1,6 +1,5 @@
 """Serial lines on pseudo-terminals: a hub's own link, and SLCAN adapters of several kinds."""
 
-import contextlib
 import itertools
 import logging
 import math
@@ -47,7 +46,7 @@ class ServedSkin:
     def __init__(
         self, hub: VirtualHub, config: SourceConfig, recorder: Recorder | None = None
     ) -> None:
-        source = open_source(config, SKIN, recorder)
+        source = open_source(config, SKIN, recorder, wait=True)
         assert isinstance(source, LiveSource)
         self.hub, self.source, self.port = hub, source, hub.port
         self.scans: list[Scan] = []
@@ -94,11 +93,13 @@ def opened(tmp_path: Path) -> Iterator[Opened]:
     with ExitStack() as stack:
 
         def made(kind: str = "plain", at: str = "", **more: Any) -> ServedSkin:
-            recorder = more.pop("recorder", None)
+            recorder, is_away = more.pop("recorder", None), more.pop("away", False)
             native = kind == NATIVE
             adapter = "plain" if native else kind
             hub = VirtualHub(tmp_path / "skin", MODULES, native=native, adapter=adapter)
             stack.enter_context(hub)
+            if is_away:
+                hub.unplug()
             keys: dict[str, Any] = {**hub.source, "channel": hub.device + at, **more}
             skin = ServedSkin(hub, SourceConfig(**keys), recorder)
             stack.callback(skin.source.close)
@@ -168,20 +169,11 @@ class QuietHub(VirtualIhb):
         return super().answer(packet)
 
 
-@pytest.mark.parametrize(
-    "ihb",
-    [
-        lambda: VirtualIhb(MODULES, deaf_s=0.06),
-        lambda: VirtualIhb(MODULES, deaf_s=0.06, says_busy=True),
-        lambda: QuietHub(MODULES, modules_s=1.6),
-    ],
-    ids=["drops requests", "is busy", "is quiet"],
-)
-def test_a_hub_that_takes_its_time_is_started_and_its_channel_is_not_opened_again(
-    opened: Opened, ihb: Callable[[], VirtualIhb], caplog: pytest.LogCaptureFixture
+def test_a_hub_that_is_quiet_while_it_starts_is_started_and_its_channel_is_not_opened_again(
+    opened: Opened, caplog: pytest.LogCaptureFixture
 ) -> None:
     skin = opened()
-    skin.hub.ihb = ihb()
+    skin.hub.ihb = QuietHub(MODULES, modules_s=1.6)
     assert skin.more() < 6.0
     assert "its channel is opened again" not in caplog.text
     assert skin.source.counters.unsent == 0
@@ -204,26 +196,45 @@ def test_foreign_frames_are_counted_and_damaged_lines_cost_only_themselves(opene
     assert skin.source.counters.lost == 0
 
 
+class FarEnd:
+    """The other end of a pseudo-terminal, which reads when it is told to."""
+
+    def __init__(self) -> None:
+        self._fd, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        for end in (self._fd, self._slave):
+            os.set_blocking(end, False)
+        self.device = os.ttyname(self._slave)
+
+    def fill(self) -> None:
+        """What the host wrote before takes all the room there is, also what the kernel makes."""
+        for _ in range(10):
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(self._slave, bytes(4096))
+            time.sleep(0.01)
+
+    def close(self) -> None:
+        os.close(self._fd)
+        os.close(self._slave)
+
+
 APART_S = 0.03  # time between the answers to lines that came together
 
 
-class LateAdapter:
-    """Lawicel's, on a pseudo-terminal, which answers each line later by the test's clock."""
+class LateAdapter(FarEnd):
+    """Lawicel's, which answers each line later by the test's clock."""
 
-    def __init__(self, late_s: float = 0.08, mute: bytes = b"") -> None:
+    def __init__(self, late_s: float, mute: bytes) -> None:
         """`mute`: a line that it does not answer."""
+        super().__init__()
         self._late_s, self._mute = late_s, mute
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.device = os.ttyname(self._slave)
-        self.adapter = Adapter("lawicel")
-        self._rest = b""
+        self.adapter, self._rest = Adapter("lawicel"), b""
         self._answers: list[tuple[float, bytes]] = []
 
     def serve(self, now_s: float) -> None:
         with suppress(BlockingIOError):
-            lines, self._rest = split(self._rest + os.read(self._master, 4096))
+            lines, self._rest = split(self._rest + os.read(self._fd, 4096))
             answers = [(line, self.adapter.host(line)[0]) for line in lines]
             self._answers += [
                 (now_s + self._late_s + k * APART_S, a)
@@ -231,11 +242,7 @@ class LateAdapter:
                 if line != self._mute
             ]
         while self._answers and self._answers[0][0] <= now_s:
-            os.write(self._master, self._answers.pop(0)[1])
-
-    def close(self) -> None:
-        os.close(self._master)
-        os.close(self._slave)
+            os.write(self._fd, self._answers.pop(0)[1])
 
 
 @pytest.mark.parametrize(("refuses", "listen_only"), [(False, False), (False, True), (True, False)])
@@ -253,13 +260,8 @@ def test_an_adapter_that_answers_late_is_opened_or_named_with_the_bit_rate_that_
     if refuses:
         monkeypatch.setitem(BITRATES, 1_000_000, b"S9")  # Lawicel's knows no such
     with closing(LateAdapter(late_s, mute)) as late:
-        config = SourceConfig(
-            kind="can",
-            interface="slcan",
-            channel=late.device,
-            listen_only=listen_only,
-            modules=LISTED,
-        )
+        listening = {"listen_only": listen_only, "modules": LISTED}
+        config = SourceConfig("can", "slcan", late.device, **listening)  # type: ignore[arg-type]
         with closing(open_source(config, SKIN)) as source:
             tick = itertools.count()
 
@@ -347,34 +349,10 @@ def test_what_waited_on_a_line_while_the_daemon_started_is_dropped_and_counted(
     assert skin.source.counters.late == missed
 
 
-class FarEnd:
-    """The other end of a pseudo-terminal, which reads when it is told to."""
-
-    def __init__(self) -> None:
-        self._fd, slave = os.openpty()
-        tty.setraw(slave)
-        os.set_blocking(self._fd, False)
-        os.set_blocking(slave, False)
-        self.device, self._slave = os.ttyname(slave), slave
-
-    def fill(self) -> None:
-        """What the host wrote before takes all the room there is, also what the kernel makes."""
-        for _ in range(10):
-            with contextlib.suppress(BlockingIOError):
-                while True:
-                    os.write(self._slave, bytes(4096))
-            time.sleep(0.01)
-
-    def close(self) -> None:
-        os.close(self._fd)
-        os.close(self._slave)
-
-
 @pytest.fixture
 def far_end() -> Iterator[FarEnd]:
-    made = FarEnd()
-    yield made
-    made.close()
+    with closing(FarEnd()) as made:
+        yield made
 
 
 def of_kind(kind: str, device: str) -> SourceConfig:
@@ -429,25 +407,16 @@ def test_a_request_that_has_begun_is_finished_before_the_next(
 
 
 def test_a_device_that_is_not_there_yet_is_waited_for_with_one_line(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    opened: Opened, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "taxeld")
-    source = open_source(of_kind(NATIVE, str(tmp_path / "skin")), SKIN, wait=True)
-    for tick in range(500):
-        assert source.poll(tick * TICK_S) == []
-    assert source.counters.unopened >= 4
-    (record,) = caplog.records
-    assert record.getMessage() == f"{source.waits_for}; waiting for it"
-    with VirtualHub(tmp_path / "skin", MODULES, native=True) as hub:
-        now_s = 5.0
-
-        def turn() -> None:
-            nonlocal now_s
-            now_s += TICK_S
-            hub.serve(now_s, lambda _: [7] * CHANNELS)
-            source.poll(now_s)
-
-        until(lambda: source.decoder.counters.scans >= 2, turn)
-        assert source.waits_for == ""
-        assert sum("is open" in message for message in caplog.messages) == 1
-        source.close()
+    skin = opened(NATIVE, away=True)
+    for _ in range(500):
+        skin.turn()
+    assert skin.source.counters.unopened >= 4
+    (line,) = caplog.messages
+    assert line == f"{skin.source.waits_for}; waiting for it"
+    skin.hub.plug()
+    skin.more()
+    assert skin.source.waits_for == ""
+    assert sum("is open" in message for message in caplog.messages) == 1

@@ -1,4 +1,4 @@
-"""Sources on CAN interfaces: the kernel's, and python-can's.
+"""Sources on the kernel's CAN interfaces.
 
 Datagrams of a Unix socket stand in for the kernel's frames: it stamps and delivers both in the same
 way.
@@ -13,21 +13,19 @@ import os
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import can
 import numpy as np
 import pytest
-from can.interfaces.virtual import VirtualBus
 
 from taxeld.config.tables import SourceConfig
 from taxeld.source import bus_faults, socketcan
 from taxeld.source.bus_faults import PASSED_S, BusFault
 from taxeld.source.device import LostError
-from taxeld.source.opening import open_device, open_source
+from taxeld.source.opening import open_device
 from taxeld.source.recorder import Recorder
 from taxeld.source.socketcan import SocketCanDevice
 from taxeld.source.sources import LiveSource, least_period_ms
@@ -43,7 +41,6 @@ from tests.rig.virtual_hub import frames_of
 LISTENING: dict[str, Any] = {"listen_only": True, "modules": LISTED}
 CONFIG = SourceConfig(kind="can", channel="can0", **LISTENING)
 FRAME = struct.Struct("=IB3x8s")
-SILENT = Frame(0.0, 0x17FFFFFF, bytes.fromhex("013B00004F6D17"), extended=True)
 
 
 class DaemonSource:
@@ -188,10 +185,13 @@ ERROR_FRAMES: list[tuple[str, int, str, list[str]]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "classes", "data", "told"), ERROR_FRAMES, ids=str)
+@pytest.mark.parametrize(
+    ("classes", "data", "told"),
+    [row[1:] for row in ERROR_FRAMES],
+    ids=[row[0] for row in ERROR_FRAMES],
+)
 def test_each_class_of_error_frames_is_counted_by_its_kind_and_said_with_its_cure(
     bus: socket.socket,
-    name: str,
     classes: int,
     data: str,
     told: list[str],
@@ -211,13 +211,6 @@ def test_each_class_of_error_frames_is_counted_by_its_kind_and_said_with_its_cur
     words = bus_faults.counted(counted(source))
     assert all(f"{kind} 2 ({BusFault(kind).line})" in words for kind in told)
     source.close()
-    theirs, other = virtual(name)  # an interface of python-can tells the same
-    form = {"is_error_frame": True, "is_extended_id": True}
-    other.send(can.Message(arbitration_id=classes, data=bytes.fromhex(data), **form))
-    theirs.poll(0.0)
-    assert counted(theirs) == dict.fromkeys(told, 1)
-    theirs.close()
-    other.shutdown()
 
 
 def test_every_fault_of_a_bus_names_its_cure() -> None:
@@ -298,161 +291,6 @@ def test_requests_go_out_and_wait_while_the_kernel_takes_none(
         assert bus.recv(64) == packed(sent)
     with pytest.raises(BlockingIOError):
         any(device.send(BROADCAST, Command.DECLARE, b"") is None for _ in range(100_000))
-
-
-# Interfaces of python-can.
-
-
-def virtual(channel: str, **keys: Any) -> tuple[LiveSource, can.BusABC]:
-    """A source that listens only, and the other end of its bus."""
-    keys = keys or LISTENING
-    config = SourceConfig(kind="can", interface="virtual", channel=channel, **keys)
-    bus = can.Bus(interface="virtual", channel=channel)
-    return LiveSource(config, {0: SKIN}, open_device), bus
-
-
-def message(frame: Frame) -> can.Message:
-    form = {"is_extended_id": frame.extended}
-    return can.Message(arbitration_id=frame.can_id, data=frame.data, **form)
-
-
-def heard(bus: can.BusABC) -> list[Frame]:
-    found = iter(lambda: bus.recv(0.0), None)
-    return [Frame(0.0, m.arbitration_id, bytes(m.data), m.is_extended_id) for m in found if m]
-
-
-def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
-    source, bus = virtual("foreign")
-    bus.send(can.Message(arbitration_id=0x18DAF110, is_extended_id=True, data=b"x"))
-    bus.send(can.Message(arbitration_id=0x101, is_remote_frame=True, is_extended_id=False))
-    for frame in scan_frames(3):
-        bus.send(message(frame))
-    (scan,) = source.poll(0.0)
-    assert list(scan.counts) == counts(3)
-    assert source.decoder.stats()["unknown"] == 2
-    source.close()
-    bus.shutdown()
-
-
-def test_what_goes_out_is_recorded_as_candump_would_and_a_full_bus_is_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise can.CanOperationError("Transmit buffer full")
-
-    config, session = SourceConfig("can", interface="virtual", channel="cold"), tmp_path / "session"
-    with (
-        can.Bus(interface="virtual", channel="cold") as bus,
-        Recorder(session, moves=False) as recorder,
-    ):
-        source = open_source(config, SKIN, recorder)
-        for tick in range(100):
-            with monkeypatch.context() as patched:
-                if tick < 20:
-                    patched.setattr(VirtualBus, "send", full)
-                source.poll(0.01 * tick)
-        source.close()
-        sent = heard(bus)
-    assert source.counters.unsent == 0
-    assert sent[0] == SILENT
-    assert [item._replace(t=0.0) for item in items_of(session)] == sent  # type: ignore[call-arg]
-    line, *_ = (session / "frames.log").read_text(encoding="ascii").split("\n")
-    assert line.endswith(" can0 17FFFFFF#013B00004F6D17")
-
-
-@pytest.mark.parametrize(("behind_s", "kept"), [(0.02, True), (7200.0, True), (1e8, False)])
-def test_stamps_of_an_adapters_own_clock_are_replaced_by_the_arrivals(
-    monkeypatch: pytest.MonkeyPatch, behind_s: float, kept: bool
-) -> None:
-    """Some count from their start; the kernel's are believed, however old."""
-    stamp = time.time() - behind_s
-    waiting = [can.Message(timestamp=stamp, arbitration_id=0x101, data=b"\x43")]
-    monkeypatch.setattr(VirtualBus, "recv", lambda *_: waiting.pop() if waiting else None)
-    device = open_device(SourceConfig(kind="can", interface="virtual", channel="stamps"))
-    (frame,) = device.read()
-    assert isinstance(frame, Frame)
-    assert (frame.t == stamp) == kept
-    assert kept or frame.t > stamp + 1e7
-    device.close()
-
-
-def test_a_bus_without_a_descriptor_is_polled_and_one_that_fails_is_lost_after_its_frames(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    say: list[object] = [
-        can.Message(arbitration_id=0x101, data=b"\x43", is_extended_id=False),
-        ValueError("damaged"),
-        can.Message(arbitration_id=0x102, data=b"", is_extended_id=False),
-        can.CanOperationError("gone"),
-    ]
-
-    def next_one(*_: object) -> object:
-        said = say.pop(0) if say else None
-        if isinstance(said, Exception):
-            raise said
-        return said
-
-    monkeypatch.setattr(VirtualBus, "recv", next_one)
-    device = open_device(SourceConfig(kind="can", interface="virtual", channel="x"))
-    assert device.fileno() < 0
-    read = [[f.can_id for f in device.read() if isinstance(f, Frame)] for _ in range(2)]
-    assert read == [[0x101], [0x102]]
-    with pytest.raises(LostError):
-        device.read()
-    device.close()
-
-
-class StateBus:
-    """A vendor's interface, which tells the bus's state, or fails as that has it."""
-
-    def __init__(self) -> None:
-        self.state = can.BusState.ACTIVE
-        self.fails = ""
-
-    def recv(self, _: float) -> None:
-        if self.fails:
-            raise can.CanOperationError(self.fails)
-
-    def shutdown(self) -> None:
-        """Nothing is open."""
-
-
-@pytest.mark.parametrize(
-    ("happens", "kind"),
-    [
-        (lambda bus: setattr(bus, "state", can.BusState.ERROR), "off"),
-        (lambda bus: setattr(bus, "state", can.BusState.PASSIVE), "passive"),
-        (lambda bus: setattr(bus, "fails", "Controller is in BUSOFF state"), "off"),
-        (lambda bus: setattr(bus, "fails", "The CAN controller is in bus-off state"), "off"),
-        (lambda bus: setattr(bus, "fails", "Bus off status"), "off"),
-    ],
-)
-def test_a_vendors_interface_tells_its_state_by_itself_or_by_an_exception(
-    happens: Callable[[StateBus], None], kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bus = StateBus()
-    monkeypatch.setattr(can, "Bus", lambda **_: bus)
-    config = SourceConfig(kind="can", interface="kvaser", channel="1", **LISTENING)
-    source = LiveSource(config, {0: SKIN}, open_device)
-    source.poll(0.0)
-    assert counted(source) == {}
-    happens(bus)
-    source.poll(2.0)
-    bus.fails = ""
-    source.poll(4.0)
-    assert counted(source) == {kind: 1}
-    assert source.waits_for == f"source.channel: {BusFault(kind).line}"
-    source.close()
-
-
-def test_an_error_frame_of_another_form_is_a_damaged_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("taxeld.source.can_device.AS_THE_KERNEL", ())
-    source, bus = virtual("vendor")
-    bus.send(can.Message(arbitration_id=0x40, is_error_frame=True))
-    source.poll(0.0)
-    assert counted(source) == {"error": 1}
-    source.close()
-    bus.shutdown()
 
 
 @pytest.mark.parametrize(

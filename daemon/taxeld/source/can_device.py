@@ -6,15 +6,13 @@ by byte and frame by frame.
 
 import contextlib
 import logging
-import math
-import re
 from typing import Any
 
 import can
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source.bus_faults import BusFault, kinds
+from taxeld.source.bus_faults import kinds
 from taxeld.source.device import BusDevice, first_line, unopened
 from taxeld_protocol.frames import Frame
 
@@ -24,16 +22,8 @@ INTERFACES = sorted(can.VALID_INTERFACES)
 logging.getLogger("can").addHandler(logging.NullHandler())
 logging.getLogger("can").propagate = False
 
-
 # interfaces that pass on error frames of the kernel's form
 AS_THE_KERNEL = ("gs_usb", "socketcand", "udp_multicast", "virtual")
-STATES = {
-    can.BusState.ACTIVE: BusFault.ACTIVE,
-    can.BusState.PASSIVE: BusFault.PASSIVE,
-    can.BusState.ERROR: BusFault.OFF,
-}
-BUS_OFF = re.compile("bus.?off", re.IGNORECASE)
-LOOK_S = 1.0  # time between two looks at an interface's state
 
 
 class CanDevice(BusDevice):
@@ -44,19 +34,11 @@ class CanDevice(BusDevice):
         super().__init__()
         self._bus = _open_bus(config)
         self._is_as_the_kernel = config.interface in AS_THE_KERNEL
-        self._state = can.BusState.ACTIVE  # state of the interface, when last looked
-        self._look_s = -math.inf  # monotonic time of the next look
 
     def fileno(self) -> int:
         with contextlib.suppress(NotImplementedError, can.CanError):
             return int(self._bus.fileno())
         return -1
-
-    def tend(self, now_s: float) -> None:
-        if now_s >= self._look_s:
-            self._look_s = now_s + LOOK_S
-            with contextlib.suppress(NotImplementedError, can.CanError, OSError):
-                self._enter(self._bus.state)
 
     def close(self, wait_s: float = 0.0) -> None:  # noqa: ARG002
         with contextlib.suppress(can.CanError, OSError):
@@ -66,7 +48,6 @@ class CanDevice(BusDevice):
         try:
             message = self._bus.recv(0.0)
         except (can.CanError, OSError, ValueError, IndexError) as error:
-            self._look_into(error)
             is_noise = isinstance(error.__cause__ or error, (ValueError, IndexError))
             raise (ValueError if is_noise else ConnectionError)(str(error)) from None
         if message is None:
@@ -89,17 +70,7 @@ class CanDevice(BusDevice):
         try:
             self._bus.send(message, timeout=0.0)
         except can.CanError as error:
-            self._look_into(error)
             raise BlockingIOError from error
-
-    def _look_into(self, error: Exception) -> None:
-        if BUS_OFF.search(str(error)):
-            self._enter(can.BusState.ERROR)
-
-    def _enter(self, state: can.BusState) -> None:
-        if state is not self._state:
-            self._state = state
-            self.noticed.bus[STATES[state]] += 1
 
 
 def _open_bus(config: SourceConfig) -> Any:
