@@ -47,16 +47,6 @@ def attacked(attack: str, endpoint: str, *more: str) -> Iterator[None]:
             process.kill()
 
 
-def door_of(pid: int) -> int:
-    """The number of a daemon's door; 0: it is not there."""
-    for children in Path(f"/proc/{pid}/task").glob("*/children"):
-        with contextlib.suppress(OSError):
-            for number in children.read_text(encoding="ascii").split():
-                if b"taxeld.door" in Path(f"/proc/{number}/cmdline").read_bytes():
-                    return int(number)
-    return 0
-
-
 def free_port() -> int:
     """Of TCP on this machine, a moment ago."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
@@ -67,14 +57,3 @@ def free_port() -> int:
 def resident_bytes(pid: int) -> int:
     pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def read_all(ours: int) -> str:
-    """All that was drawn on a pseudo-terminal before the other end closed: one `read` may return a
-    part of it."""
-    drawn = bytearray()
-    with contextlib.suppress(OSError):  # EIO: the other end has closed, and all has been read
-        while part := os.read(ours, 65536):
-            drawn += part
-    os.close(ours)
-    return drawn.decode()

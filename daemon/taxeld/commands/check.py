@@ -68,14 +68,8 @@ def faults(config: Config) -> list[str]:
         if bus.kind in ("can", "serial"):
             attempt(_open, bus)
     attempt(_read_keys, config)
-    for key, named in (
-        ("publish.endpoints", config.publish.endpoints),
-        ("control.endpoint", (config.control.endpoint,)),
-        ("relay.publish", config.relay.publish),
-        ("relay.control", (config.relay.control,)),
-    ):
-        for endpoint in filter(None, named):
-            attempt(_serve, endpoint, key)
+    for key, endpoint in config.served:
+        attempt(_serve, endpoint, key)
     control = config.control.endpoint
     is_running = busy and control and client.ask(control, "info", ASK_S) is not None
     return found if is_running else found + busy

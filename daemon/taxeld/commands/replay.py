@@ -24,8 +24,8 @@ from taxeld.source import modules, session
 from taxeld.source.links import LinkTable, joint
 from taxeld.source.session import Record
 from taxeld.stream import messages
-from taxeld_protocol.array import ArrayFrame
-from taxeld_protocol.decoder import Scan
+from taxeld_protocol.array import ArrayDecoder, ArrayFrame
+from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Chunk, Frame
 
 OfSkin = Frame | Chunk | ArrayFrame
@@ -189,4 +189,8 @@ class RecordedSource:
         def items() -> Iterator[Any]:
             return (r.item for r in session.items(self._directory) if self._has(r))
 
-        return modules.recorded(self._config, self._layout, items, str(self._directory))
+        if self._config.kind == "array":
+            return ArrayDecoder(self._layout.uid.tolist(), self._config.array)
+        listed = modules.given(self._config, self._layout)
+        known = modules.RecordedModules(listed, items, str(self._directory))
+        return Decoder(known.of, self._config.period_ms / 1000.0)

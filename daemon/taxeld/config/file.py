@@ -120,22 +120,16 @@ def _faults(config: Config) -> Iterator[str]:
             yield f"{at}source.endpoint: {fault}"
     yield from _scene_faults(config)
     yield from _link_faults(config)
-    has_keys = bool(config.curve.directory)
-    for key, relay_key, named in (
-        ("publish.endpoints", "relay.publish", config.publish.endpoints),
-        ("control.endpoint", "relay.control", (config.control.endpoint,)),
-        ("sensor_pose.endpoint", "", (config.sensor_pose.endpoint,)),
-        ("relay.publish", "", config.relay.publish),
-        ("relay.control", "", (config.relay.control,)),
-    ):
-        for endpoint in filter(None, named):
-            if relay_key and endpoint.startswith(endpoints.TCP):
-                yield (
-                    f"{key}: '{endpoint}' is of TCP: name it in {relay_key}; "
-                    "here stands ipc:///path alone"
-                )
-            elif fault := endpoints.fault(endpoint, has_keys):
-                yield f"{key}: {fault}"
+    robot = config.sensor_pose.endpoint
+    for key, endpoint in [*config.served, *[("sensor_pose.endpoint", robot)] * bool(robot)]:
+        relay = {"publish.endpoints": "relay.publish", "control.endpoint": "relay.control"}
+        if key in relay and endpoint.startswith(endpoints.TCP):
+            yield (
+                f"{key}: '{endpoint}' is of TCP: name it in {relay[key]}; "
+                "here stands ipc:///path alone"
+            )
+        elif fault := endpoints.fault(endpoint, bool(config.curve.directory)):
+            yield f"{key}: {fault}"
 
 
 def _scene_faults(config: Config) -> Iterator[str]:

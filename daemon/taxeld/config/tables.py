@@ -249,6 +249,17 @@ class Config:
         return [self.of_link(k) for k in range(len(self.names))]
 
     @property
+    def served(self) -> list[tuple[str, str]]:
+        """Each endpoint that is served, after its key."""
+        named = {
+            "publish.endpoints": self.publish.endpoints,
+            "control.endpoint": (self.control.endpoint,),
+            "relay.publish": self.relay.publish,
+            "relay.control": (self.relay.control,),
+        }
+        return [(key, each) for key, endpoints in named.items() for each in endpoints if each]
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The links' names; one without a name where there is one skin."""
         return tuple(link.name for link in self.links) or ("",)

@@ -56,12 +56,6 @@ class Layout:
         radius = np.hypot(self.position_m[:, 0], self.position_m[:, 1])
         return math.sqrt(np.mean((radius - self.radius_m) ** 2))
 
-    @property
-    def unrolled_m(self) -> NDArray[np.float64]:
-        """(2, M) way round the cylinder and height of each taxel [m], as seen from outside."""
-        x, y, z = self.position_m.T
-        return np.stack([np.arctan2(y, x) * self.radius_m, z])
-
     @cached_property
     def turns(self) -> NDArray[np.int64]:
         """(n, M) permutations: `z[turns[k]]` is what z becomes when the touch turns by −2πk/n.

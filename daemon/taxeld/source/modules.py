@@ -12,7 +12,6 @@ from pathlib import Path
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld_protocol.array import ArrayDecoder
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module, listed
@@ -81,21 +80,6 @@ class RecordedModules:
         for _ in decoder.take(self._items()):
             pass
         return placed(decoder) if self._is_placed else _declared(decoder)
-
-
-def recorded(
-    config: SourceConfig, layout: Layout, items: Callable[[], Iterable[Frame | Chunk]], what: str
-) -> Decoder | ArrayDecoder:
-    """The decoder of a recording, as `RecordedModules` has it. It raises SetupError later on for a
-    hub whose modules are unknown.
-
-    Raises:
-        SetupError: the modules of the first scan are unknown.
-    """
-    if config.kind == "array":
-        return ArrayDecoder(layout.uid.tolist(), config.array)
-    known = RecordedModules(given(config, layout), items, what)
-    return Decoder(known.of, config.period_ms / 1000.0)
 
 
 def given(config: SourceConfig, layout: Layout) -> ListedModules:
