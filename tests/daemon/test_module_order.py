@@ -2,11 +2,11 @@
 
 import itertools
 import json
-import subprocess
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,11 +21,9 @@ from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import Module, listed
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig import skins
-from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import QUIET, configuration
 from tests.rig.given_device import GivenDevice
-from tests.rig.processes import PIPES, taxeld
 from tests.rig.skins import SKIN
 from tests.rig.virtual_hub import VirtualHub, frames_of, told
 
@@ -231,55 +229,36 @@ def test_a_list_of_modules_is_written_over_nothing_and_through_no_link(tmp_path:
     assert not victim.exists()
 
 
-def serve(hub: VirtualHub, process: "subprocess.Popen[str]", most: int) -> None:
-    """Until the process has ended, or so many bytes have been sent to it."""
-    until(
-        lambda: process.poll() is not None or hub.written >= most,
-        lambda: hub.serve(time.monotonic(), lambda _: UIDS),
-    )
+def recorded(place: Path, hub: VirtualHub, **source: Any) -> tuple[str, Recording]:
+    """The last line of a recording of some scans, or of much else that the hub said."""
+    file = configuration(place, source=hub.source | source)
+    recording, polls = Recording(load(file), file, place / "session"), itertools.count()
+
+    def serve(*_: object) -> None:
+        hub.serve(time.monotonic(), lambda _: UIDS)
+        recording.stopping = hub.ihb.phase == Phase.RUNNING and next(polls) > 500
+
+    return recording.run(serve), recording
 
 
-@pytest.mark.check
-def test_record_lists_the_modules_and_a_listener_reads_by_that_list(tmp_path: Path) -> None:
-    out = tmp_path / "session"
-    with VirtualHub(tmp_path / "skin", MODULES) as hub:
-        config_file = configuration(tmp_path, source=hub.source)
-        process = taxeld("record", "--out", out, config_file, **PIPES)
-        serve(hub, process, 10_000)
-        process.terminate()
-        printed, errors = process.communicate(timeout=PATIENCE_S)
-    assert errors == ""
-    assert f"{out / modules.FILE}, for source.modules" in printed
-    assert pasted(out / modules.FILE).modules == LISTED
-
-
-def test_a_recording_of_a_hub_that_is_refused_says_so_and_lists_no_modules(tmp_path: Path) -> None:
-    with VirtualHub(tmp_path / "skin", GROUPED) as hub:
-        config_file = configuration(tmp_path, source=hub.source)
-        recording = Recording(load(config_file), config_file, tmp_path / "session")
-        polls = itertools.count()
-
-        def serve(*_: object) -> None:
-            hub.serve(time.monotonic(), lambda _: UIDS)
-            recording.stopping = hub.ihb.phase == Phase.RUNNING and next(polls) > 500
-
-        assert REFUSED in recording.run(serve)
-    assert recording.scans == 0
-    assert not (tmp_path / "session" / modules.FILE).exists()
-
-
-@pytest.mark.check
-def test_a_recording_that_cannot_know_the_order_goes_on_and_says_so(tmp_path: Path) -> None:
-    out = tmp_path / "session"
-    with VirtualHub(tmp_path / "skin", MODULES) as hub:
-        hub.ihb.phase, hub.ihb.auto_sync = Phase.RUNNING, True
-        config = configuration(tmp_path, source=hub.source | {"listen_only": True})
-        process = taxeld("record", "--out", out, config, **PIPES)
-        serve(hub, process, 10_000)
-        process.terminate()
-        printed, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0
-    assert errors.startswith("source.modules: hub 1 streams")
-    assert errors.count("\n") == 1
-    assert "to replay it, list source.modules" in printed
-    assert not (out / modules.FILE).exists()
+def test_a_recording_lists_the_modules_for_a_listener_or_says_why_it_does_not(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """And goes on where nobody told their order."""
+    for name in ("told", "refused", "untold"):
+        place, modules_ = tmp_path / name, GROUPED if name == "refused" else MODULES
+        place.mkdir()
+        with VirtualHub(place / "skin", modules_) as hub:
+            if name == "untold":
+                hub.ihb.phase, hub.ihb.auto_sync = Phase.RUNNING, True
+            line, recording = recorded(place, hub, listen_only=name == "untold")
+        written = place / "session" / modules.FILE
+        if name == "told":
+            assert f"{written}, for source.modules" in line
+            assert pasted(written).modules == LISTED
+            assert not caplog.messages
+            continue
+        assert recording.scans == 0
+        assert (REFUSED if name == "refused" else "to replay it, list source.modules") in line
+        assert not written.exists()
+    assert caplog.messages[-1].startswith("source.modules: hub 1 streams")

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from taxeld.commands.status import lines
 from taxeld.service.inputs import PoseWatch
 from taxeld.stream.link import PeerLine
 
+from .test_status import rows_of
 from .test_stream_document import documented
 
 NOW = 1_700_000_000.0
@@ -118,26 +118,18 @@ def test_a_clock_that_was_set_is_no_fault_of_the_robot() -> None:
 
 def test_status_has_how_the_poses_come_and_what_is_wrong() -> None:
     watch = watched(lambda now: now - 4.2)
+    timing = {"rate_hz": watch.rate_hz, "age_s": watch.age_s, "offset_s": watch.offset_s}
     health = documented("/taxeld/health")[1]
-    health["inputs"] |= {
-        "poses_rate_hz": watch.rate_hz,
-        "poses_age_s": watch.age_s,
-        "poses_offset_s": watch.offset_s,
-    }
-    answer: dict[str, Any] = {"estimate": documented("/taxeld/estimate")[1], "health": health}
-
-    def rows() -> dict[str, str]:
-        return dict(row.split(": ", maxsplit=1) for row in lines(answer))
-
-    assert rows()["Samples       "] == "all"
-    assert rows()["Sensor poses  "] == "500 used"  # as before the first health
-    answer["sensor_pose"] = {"endpoint": ENDPOINT, "fault": watch.fault}
-    assert rows()["Sensor poses  "] == f"500 used, from {ENDPOINT}"
-    timing = "100 a second, the last 0.01 s ago, their time 4.2 s "
-    assert rows()["Pose timing   "] == timing + "behind this clock"
+    health["inputs"] |= {f"poses_{name}": value for name, value in timing.items()}
+    assert rows_of(health=health)["Sensor poses"] == "500 used"  # as before the first health
+    wrong = {"endpoint": ENDPOINT, "fault": watch.fault}
+    rows = rows_of(health=health, sensor_pose=wrong)
+    assert rows["Sensor poses"] == f"500 used, from {ENDPOINT}"
+    late = "100 a second, the last 0.01 s ago, their time 4.2 s "
+    assert rows["Pose timing"] == f"{late}behind this clock"
+    assert rows["Pose fault"] == watch.fault
     health["inputs"]["poses_offset_s"] *= -1.0
-    assert rows()["Pose timing   "] == timing + "ahead of this clock"
-    assert rows()["Pose fault    "] == watch.fault
-    answer["sensor_pose"] = {"endpoint": "", "fault": ""}
-    assert rows()["Sensor poses  "] == "sensor_pose.endpoint is empty: the sensor stands still"
-    assert "Pose fault    " not in rows()
+    still = rows_of(health=health, sensor_pose={"endpoint": "", "fault": ""})
+    assert rows_of(health=health)["Pose timing"] == f"{late}ahead of this clock"
+    assert still["Sensor poses"] == "sensor_pose.endpoint is empty: the sensor stands still"
+    assert "Pose fault" not in still
