@@ -13,7 +13,7 @@ from taxeld.config.tables import SkinConfig, SourceConfig
 from taxeld.estimator.estimate import Status
 from taxeld.skin.skin import Skin
 from taxeld.source import session
-from taxeld.source.opening import open_source
+from taxeld.source.sources import ArraySource
 from taxeld_protocol.array import FULL, REST, ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Scan
 from tests.rig.array_skin import LAYOUT, ArraySkin
@@ -123,7 +123,7 @@ def test_values_stand_in_the_layouts_order_whatever_its_uids() -> None:
 def test_each_kind_of_bad_input_is_logged_once_and_costs_no_scan(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    source = open_source(SourceConfig(kind="array", endpoint="tcp://127.0.0.1:9"), SKIN)
+    source = ArraySource(SourceConfig(kind="array", endpoint="tcp://127.0.0.1:9"), {0: SKIN})
     good = frames(60)
     came = []
     for number, frame in enumerate(good):
@@ -155,7 +155,7 @@ def test_each_kind_of_bad_input_is_logged_once_and_costs_no_scan(
     ],
 )
 def test_a_source_without_arrays_says_why(connected: bool, reason: str, words: str) -> None:
-    source = open_source(SourceConfig(kind="array", endpoint="ipc:///skin"), SKIN)
+    source = ArraySource(SourceConfig(kind="array", endpoint="ipc:///skin"), {0: SKIN})
     source.heed(connected=connected, malformed=0, reason=reason)
     source.poll(0.0)
     assert not source.waits_for

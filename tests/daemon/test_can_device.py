@@ -60,7 +60,7 @@ def test_what_goes_out_is_recorded_as_candump_would_and_a_full_bus_is_waited_for
 
     session = tmp_path / "session"
     with Recorder(session, moves=False) as recorder:
-        source = open_source(config_of(request.node.name), SKIN, recorder)
+        source = open_source(config_of(request.node.name), {0: SKIN}, recorder)
         for tick in range(100):
             with monkeypatch.context() as patched:
                 if tick < 20:

@@ -162,11 +162,11 @@ def test_check_says_what_run_says_of_a_device_that_does_not_open(
     told = refused("check", path).rstrip()
     assert told.startswith(begin.format(place=place, line=line))
     if waits:
-        with contextlib.closing(open_source(load(path).source, SKIN, wait=True)):
+        with contextlib.closing(open_source(load(path).source, {0: SKIN}, wait=True)):
             assert caplog.messages == [f"{told}; waiting for it"]
     else:
         with pytest.raises(SetupError, match=f"^{re.escape(told)}$") as caught:
-            open_source(load(path).source, SKIN, wait=True)
+            open_source(load(path).source, {0: SKIN}, wait=True)
         assert not isinstance(caught.value, AwayError)
 
 
@@ -188,7 +188,7 @@ def test_a_device_that_another_process_has_is_refused_unless_a_daemon_answers(
         for kind in ({"kind": "serial"}, {"kind": "can", "interface": "slcan"}):
             (other := place / "other").mkdir(exist_ok=True)
             keys = load(configured(other, source=kind | {"channel": line})).source
-            with contextlib.closing(open_source(keys, SKIN, wait=True)) as waiting:
+            with contextlib.closing(open_source(keys, {0: SKIN}, wait=True)) as waiting:
                 assert "another process has it open" in waiting.waits_for
         answering()
         printed("check", path)

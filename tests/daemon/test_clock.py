@@ -2,7 +2,6 @@
 real time is granted."""
 
 import contextlib
-import errno
 import fcntl
 import gc
 import os
@@ -14,16 +13,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import can
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxeld.config.tables import SourceConfig
-from taxeld.layout import read as layouts
 from taxeld.service import realtime
 from taxeld.service.clock import IDLE_S, Ready, Ticker, WallClock, wait
-from taxeld.source.opening import open_source
 from tests.rig.clocks import Clock
 from tests.rig.processes import python
 
@@ -218,39 +213,3 @@ def test_what_is_refused_is_reported_and_stops_nothing() -> None:
         "with realtime.thread(20) as granted: print(granted.fifo, granted.locked)\n"
     )
     assert python(code).stdout == "0 False\n"
-
-
-class Unplugged(can.BusABC):
-    """A driver that leaves objects which refer to each other, as python-can's own do."""
-
-    def __init__(self, *_: object, **__: object) -> None:
-        self.me = [self]
-        raise OSError(errno.ENODEV, "No such device")
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        raise NotImplementedError
-
-
-def test_a_device_that_is_away_for_long_costs_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("can.interface._get_class_for_interface", lambda _: Unplugged)
-    skin = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
-    config = SourceConfig(kind="can", interface="virtual", channel="away")
-    with realtime.thread(0):
-        source = open_source(config, skin, wait=True)
-        collector = realtime.Collector()
-        sizes = []
-        for second in range(200):
-            source.poll(float(second))
-            opened = source.counters.unopened + source.counters.reopened
-            collector.tick(float(second), opened, pressed=True)
-            sizes.append(len(gc.get_objects()))
-        assert source.counters.unopened >= 200
-        assert max(sizes[100:]) - sizes[10] < 20
-        source.close()
-
-
-@pytest.mark.check
-def test_the_collector_runs_once_a_minute_while_nothing_is_pressed() -> None:
-    collector = realtime.Collector()
-    ran = [k for k in range(400) if collector.tick(float(k), 0, pressed=100 <= k < 200)]
-    assert ran == [0, 60, 200, 260, 320, 380]

@@ -46,7 +46,7 @@ class ServedSkin:
     def __init__(
         self, hub: VirtualHub, config: SourceConfig, recorder: Recorder | None = None
     ) -> None:
-        source = open_source(config, SKIN, recorder, wait=True)
+        source = open_source(config, {0: SKIN}, recorder, wait=True)
         assert isinstance(source, LiveSource)
         self.hub, self.source, self.port = hub, source, hub.port
         self.scans: list[Scan] = []
@@ -262,7 +262,7 @@ def test_an_adapter_that_answers_late_is_opened_or_named_with_the_bit_rate_that_
     with closing(LateAdapter(late_s, mute)) as late:
         listening = {"listen_only": listen_only, "modules": LISTED}
         config = SourceConfig("can", "slcan", late.device, **listening)  # type: ignore[arg-type]
-        with closing(open_source(config, SKIN)) as source:
+        with closing(open_source(config, {0: SKIN})) as source:
             tick = itertools.count()
 
             def turn() -> None:
@@ -364,7 +364,7 @@ def of_kind(kind: str, device: str) -> SourceConfig:
 def test_a_line_whose_far_end_stops_reading_makes_no_tick_wait(
     far_end: FarEnd, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = open_source(of_kind(kind, far_end.device), SKIN)
+    source = open_source(of_kind(kind, far_end.device), {0: SKIN})
     far_end.fill()
     real = select.select
 

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,8 +25,9 @@ from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Outcome
 from taxeld.proposals.samples import Degraded
 from taxeld.service import loop
-from taxeld.service.clock import Ready
+from taxeld.service.clock import Ready, Ticker
 from taxeld.service.loop import GATHERS, Daemon
+from taxeld.service.notify import Notifier
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages, topics
 from taxeld_protocol.decoder import Scan
@@ -240,6 +242,26 @@ def test_a_pass_whose_own_work_is_longer_than_a_period_is_counted(
         daemon.tick(daemon.start_s + 0.01 * k)
         counted.append(daemon.counters.own_overruns)
     assert counted == [0, 1, 2, 2]
+
+
+def test_what_the_interpreter_leaves_behind_is_collected_once_a_minute(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, began_s, collected = Clock(time.monotonic()), time.monotonic(), list[float]()
+
+    def wait(_: object, __: object, until_s: float) -> Ready:
+        clock.now = max(until_s, clock.now + 0.5)
+        return Ready()
+
+    def between() -> None:
+        daemon.stopping = clock.now > began_s + 150.0
+
+    monkeypatch.setattr(time, "monotonic", clock)
+    monkeypatch.setattr(loop, "wait", wait)
+    monkeypatch.setattr(loop, "Ticker", partial(Ticker, clock=clock))
+    monkeypatch.setattr(loop.gc, "collect", lambda: collected.append(clock.now - began_s))
+    daemon._loop(Notifier({}), between)
+    assert collected == pytest.approx([0.0, 60.0, 120.0], abs=2.0)
 
 
 def test_where_touches_take_longer_than_they_have_half_the_samples_are_drawn_and_it_is_said(

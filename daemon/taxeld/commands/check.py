@@ -67,7 +67,8 @@ def faults(config: Config) -> list[str]:
     for bus, _ in config.buses:
         if bus.kind in ("can", "serial"):
             attempt(_open, bus)
-    attempt(_read_keys, config)
+    served = (*config.relay.publish, config.relay.control)
+    attempt(curve.read_keys, config.curve.directory, config.sensor_pose.endpoint, served)
     for key, endpoint in config.served:
         attempt(_serve, endpoint, key)
     control = config.control.endpoint
@@ -98,11 +99,6 @@ def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
     for name in choice.possible(bundles, config.filter):
         for one in bundles:
             one.open(name)
-
-
-def _read_keys(config: Config) -> None:
-    served = (*config.relay.publish, config.relay.control)
-    curve.read_keys(config.curve.directory, config.sensor_pose.endpoint, served)
 
 
 def _serve(endpoint: str, key: str) -> None:

@@ -4,7 +4,6 @@ import math
 import shlex
 
 import numpy as np
-from numpy.typing import NDArray
 
 from taxeld.layout.layout import Layout
 
@@ -50,7 +49,8 @@ def summary(layout: Layout) -> list[str]:
     }
     lines = [f"{name:<10}{value}" for name, value in facts.items()]
     if not np.array_equal(layout.frame, np.eye(4)):
-        lines += _matrix("frame", layout.frame, "from the file's frame [m] to the sensor frame")
+        lines.append(f"{'frame':<10}from the file's frame [m] to the sensor frame")
+        lines += ["  " + " ".join(f"{value:9.5f}" for value in row) for row in layout.frame]
     return lines
 
 
@@ -87,9 +87,3 @@ def tilted(layout: Layout) -> int:
     radial = layout.position_m[:, :2]
     along = np.einsum("ij,ij->i", radial, layout.normal[:, :2])
     return int((along < np.cos(TILT_MAX_RAD) * np.hypot(*radial.T)).sum())
-
-
-def _matrix(name: str, matrix: NDArray[np.float64], meaning: str) -> list[str]:
-    """Lines of a matrix (4, 4)."""
-    rows = ["  " + " ".join(f"{value:9.5f}" for value in row) for row in matrix]
-    return [f"{name:<10}{meaning}", *rows]

@@ -114,7 +114,7 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     Raises:
         SetupError: a file named by the configuration cannot be used.
     """
-    where = str(directory) if session.has_poses(directory) else ""
+    where = str(directory) if (directory / session.POSES).exists() else ""
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
     try:
         for one in config.each:

@@ -102,14 +102,13 @@ def unanswered(endpoint: str) -> str:
         return none
     if path.parent == endpoints.own_directory() and _is_closed(endpoints.RUNTIME):
         return f"{none} That of the service, in {endpoints.RUNTIME}, {_denied(endpoints.RUNTIME)}"
-    if _is_closed(path.parent):
-        return f"no permission to ask at {endpoint}: it {_denied(path.parent)}"
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(PROBE_S)
         try:
             probe.connect(str(path))
         except PermissionError:
-            return f"no permission to ask at {endpoint}: it {_denied(path)}"
+            closed = path.parent if _is_closed(path.parent) else path
+            return f"no permission to ask at {endpoint}: it {_denied(closed)}"
         except OSError:
             return none
     silent = f"something at {endpoint} takes the question and does not answer"

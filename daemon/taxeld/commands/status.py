@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from taxeld.estimator.estimate import ProposalKind, Status
-from taxeld.pipeline.freshness import CURES, Why
+from taxeld.pipeline.freshness import Why
 from taxeld.proposals.samples import Degraded
 from taxeld.skin.channels import mismatch
 from taxeld.source import bus_faults
@@ -108,9 +108,5 @@ def _modules(answer: dict[str, Any]) -> str:
 
 
 def _link(link: dict[str, Any]) -> str:
-    dead = f"{len(link['dead_taxels'])} dead taxels"
-    try:
-        why = Why(link["why"])
-    except ValueError:
-        return f"is left out (by a newer daemon), {dead}"
-    return f"{'works' if why is Why.VALID else f'is left out, {CURES[why]}'}, {dead}"
+    works = "works" if link["why"] == Why.VALID else f"is left out, {reason_of(link['why'])}"
+    return f"{works}, {len(link['dead_taxels'])} dead taxels"

@@ -9,7 +9,7 @@ import socket
 import sys
 import time
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgpack
 import zmq
@@ -23,19 +23,45 @@ from taxeld.door.settings import REFUSED, Settings
 from taxeld.door.streams import Streams
 from taxeld.errors import SetupError
 from taxeld.stream import curve, pair
+from taxeld.stream.curve import Keys
 from taxeld.stream.link import Report
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import ESTIMATE, HEALTH, INFO
 from taxeld_protocol.array import ArrayFrame
-
-if TYPE_CHECKING:
-    from taxeld.door.admission import Admission
 
 WAIT_MS = 100  # for a peer or the loop
 LOOK_S, REPORT_S = 0.1, 1.0
 PACKETS_PER_LOOK = 256
 SILENT_S = 2.0  # without an estimate for so long, the loop hangs
 NOTHING = b"\x80"  # an empty map
+DOMAIN = "taxeld"  # of ZAP: where keys are taken
+
+
+class Admission:
+    """Lets in who holds the secret of an authorised key; pyzmq answers ZeroMQ's questions in a
+    thread of its own."""
+
+    def __init__(self, context: zmq.Context[Any], keys: Keys) -> None:
+        from zmq.auth.thread import ThreadAuthenticator  # noqa: PLC0415  (7 MB of asyncio)
+
+        self.refused = 0  # connections without an authorised key
+        self._keys = keys
+        self._authenticator = ThreadAuthenticator(context)
+        self._authenticator.configure_curve_callback(DOMAIN, self)
+        self._authenticator.start()
+        self.close = self._authenticator.stop
+
+    def callback(self, _: str, key: bytes) -> bool:
+        """Whether the holder of a public key may connect; called by the authenticator's thread."""
+        is_known = key in self._keys.clients
+        self.refused += not is_known
+        return is_known
+
+    def guard(self, socket: zmq.Socket[Any]) -> None:
+        """Only those who hold a client's key may connect to `socket`."""
+        socket.setsockopt(zmq.CURVE_SERVER, 1)
+        socket.setsockopt(zmq.CURVE_SECRETKEY, self._keys.secret)
+        socket.setsockopt(zmq.ZAP_DOMAIN, DOMAIN.encode())
 
 
 class Door:
@@ -72,8 +98,6 @@ class Door:
         served = (*settings.relay_publish, settings.relay_control)
         keys = curve.read_keys(settings.keys, settings.robot, served)
         if keys is not None and keys.clients:
-            from taxeld.door.admission import Admission  # noqa: PLC0415  (7 MB of asyncio)
-
             self._admission = Admission(context, keys)
         for key, named in (
             ("publish.endpoints", settings.publish),

@@ -104,12 +104,7 @@ def parse(spec: str) -> Layout | None:
     if made is None or made.fault:
         fault = made.fault if made else faults[0]
         raise ValueError(f"{kind}: {fault}; use '{EXAMPLES[kind]}'")
-    given = [
-        f"{each.name}={value:g}" if isinstance(value, float) else f"{each.name}={value}"
-        for each in gate.keys_of(KINDS[kind])
-        if (value := getattr(made, each.name)) != each.default
-    ]
-    return made.layout(f"{kind}:{','.join(given)}")
+    return made.layout(spec)
 
 
 def _number(text: str) -> int | float | str:

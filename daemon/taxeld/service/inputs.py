@@ -13,7 +13,7 @@ from taxeld.pipeline.poses import FAR_M
 from taxeld.service.doorkeeper import Doorkeeper, poses_alone
 from taxeld.source.opening import open_source, open_sources
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import polled
+from taxeld.source.sources import ArraySource, polled
 from taxeld.stream.link import Link, PeerLine
 from taxeld_protocol.decoder import Scan
 
@@ -116,10 +116,10 @@ class Inputs:
             self.door = opened.enter_context(contextlib.closing(alone))
             # that of the first link first
             self.sources = open_sources(config, layouts, open_one, opened)
-            arrays = [source for source in self.sources if source.comes_by_door]
-            self.come_by_door = bool(arrays)
-            for source in arrays:
-                link.on_array = source.hear
+            arrays = (source for source in self.sources if isinstance(source, ArraySource))
+            self.array = next(arrays, None)
+            if self.array is not None:
+                link.on_array = self.array.hear
             if door is None:
                 alone.wait(link)
             self.close = opened.pop_all().close
@@ -146,5 +146,7 @@ class Inputs:
         if self.watch.endpoint:
             self.watch.look(t, report.robot, is_heard=self._link.is_heard)
         array = report.array
-        for source in self.sources:
-            source.heed(connected=array.connected, malformed=array.malformed, reason=array.reason)
+        if self.array is not None:
+            self.array.heed(
+                connected=array.connected, malformed=array.malformed, reason=array.reason
+            )

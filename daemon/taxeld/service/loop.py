@@ -6,6 +6,7 @@ pipeline has one to make.
 """
 
 import contextlib
+import gc
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -35,6 +36,7 @@ START_S = 2.0  # time that a skin may take to start, before the lack of scans is
 ANSWER_S = 0.005  # time that the door has for the poses of a scan
 GATHER_S = 0.0002  # time between two looks at the device: a scan's frames come more closely
 GATHERS = 20  # further looks at the device for the rest of a scan
+COLLECT_S = 60.0  # an attempt to open a device of python-can leaves about 36 objects
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
 log = logging.getLogger(__name__)
@@ -108,15 +110,15 @@ class Daemon:
 
     def _loop(self, notifier: Notifier, between: Callable[[], None]) -> None:
         ticker = Ticker(self.config.loop.rate_hz, self.publisher.estimate_s)
-        collector, sources = realtime.Collector(), self.inputs.sources
-        ready = ALL
+        next_collect_s, ready = 0.0, ALL
         while not self.stopping:
             scans, now = self.take(ready), ticker.begin()
             self.counters.overruns = ticker.missed
             self.tick(now, scans, ready)
             notifier.tick(now, self.publisher.status_line)
-            openings = sum(s.counters.unopened + s.counters.reopened for s in sources)
-            collector.tick(now, openings, pressed=self.pipeline.is_touched)
+            if now >= next_collect_s:  # 0.1 ms, as what was there at the start is left out
+                next_collect_s = now + COLLECT_S
+                gc.collect()
             between()
             ready = self._wait(ticker)
 
@@ -128,7 +130,7 @@ class Daemon:
             self.link.ask_poses(also_next=True)
         is_busy = pipeline.has_waiting or pipeline.has_thought or any(s.is_busy for s in sources)
         until_s = ticker.until(busy=is_busy)
-        hears = pipeline.has_waiting or self.inputs.come_by_door
+        hears = pipeline.has_waiting or self.inputs.array is not None
         door, devices = self.link.end if hears else None, [source.device for source in sources]
         return wait(devices, door, until_s)
 
@@ -151,7 +153,7 @@ class Daemon:
             self._look(now_s)
         scans: list[Scan] = []
         # where poses alone have come, the sources are left to the next pass
-        if ready.device or not ready.door or self.inputs.come_by_door:
+        if ready.device or not ready.door or self.inputs.array is not None:
             scans = polled(sources, now_s)
         until_s = now_s + ANSWER_S
         for _ in range(GATHERS if ready.device else 0):
@@ -239,7 +241,7 @@ class Daemon:
             "realtime": asdict(self.realtime),
             "source": {
                 **source.decoder.stats(),
-                **({"malformed": report.array.malformed} if source.comes_by_door else {}),
+                **({"malformed": report.array.malformed} if source is inputs.array else {}),
                 **asdict(source.counters),
                 "bus": {fault: n for fault, n in source.bus.counts.items() if n},
             },

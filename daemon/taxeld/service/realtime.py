@@ -6,7 +6,6 @@ A setting that is not permitted is not an error: `/taxeld/health` reports the gr
 import contextlib
 import ctypes
 import gc
-import math
 import os
 import resource
 import sys
@@ -15,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-COLLECT_S = 60.0
 SWITCH_S = 0.0001  # time after which another thread gives the interpreter back
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4  # mlockall(2)
 
@@ -26,23 +24,6 @@ class RealTime:
 
     fifo: int = 0  # SCHED_FIFO priority; 0: not permitted, or not asked for
     locked: bool = False  # memory stays in RAM once it has been touched
-
-
-class Collector:
-    """The cyclic collector, run when it disturbs nothing: once a minute, and when a device was
-    opened or could not be, of which python-can leaves about 36 objects an attempt."""
-
-    def __init__(self) -> None:
-        self._attempts, self._next_s = 0, -math.inf
-
-    def tick(self, now_s: float, attempts: int, *, pressed: bool) -> bool:
-        """Run the collector if due; → whether it ran. `attempts`: to open the device, since start;
-        `pressed`: whether the skin is touched."""
-        is_due = attempts != self._attempts or (now_s >= self._next_s and not pressed)
-        if is_due:
-            self._attempts, self._next_s = attempts, now_s + COLLECT_S
-            gc.collect()
-        return is_due
 
 
 def trim() -> None:
@@ -58,7 +39,7 @@ def thread(priority: int) -> Iterator[RealTime]:
     `priority` is of SCHED_FIFO, 1..99; with 0 the scheduler and memory are left unchanged. The
     process's other threads get the priority below it: one of ordinary priority would keep the
     interpreter from the loop for as long as other processes keep the processor from it. The cyclic
-    collector does not run by itself meanwhile (see `Collector`).
+    collector does not run by itself meanwhile.
     """
     gc.collect()
     gc.freeze()

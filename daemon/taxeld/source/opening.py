@@ -38,22 +38,21 @@ def open_sources(
 
 def open_source(
     config: SourceConfig,
-    skins: Layout | Mapping[int, Layout],
+    skins: Mapping[int, Layout],
     recorder: Recorder | None = None,
     *,
     wait: bool = False,
 ) -> Source:
-    """The configured source of one skin, or of those of several links by their numbers. `recorder`
+    """The configured source; `skins`: the layouts on it by the numbers of their links. `recorder`
     gets all frames or bytes of the wire. With `wait`, a missing or busy device is opened as soon as
     possible, instead of raising.
 
     Raises:
         SetupError: the device cannot be opened.
     """
-    on_it = {0: skins} if isinstance(skins, Layout) else skins
     if config.kind == "array":
-        return ArraySource(config, on_it, recorder)
-    return LiveSource(config, on_it, open_device, recorder, wait=wait)
+        return ArraySource(config, skins, recorder)
+    return LiveSource(config, skins, open_device, recorder, wait=wait)
 
 
 def open_device(config: SourceConfig) -> Device:

@@ -75,11 +75,6 @@ def config_of(directory: Path, given: Path | None = None) -> Config:
     return load(given or directory / CONFIG)
 
 
-def has_poses(directory: Path) -> bool:
-    """Whether a robot was recorded, whose poses are then used in place of others."""
-    return (directory / POSES).exists()
-
-
 def records(directory: Path) -> Iterator[Record]:
     """A session in the order of arrival, up to its last whole record, which is never held whole. At
     its end, the log has one line on what is missing of a cut session.

@@ -58,7 +58,6 @@ class Source:
     """A source of scans, which is polled at every pass."""
 
     device: Device | None = None  # the open device; the loop waits on its descriptor
-    comes_by_door = False  # whether its frames come by the door, which gives them to `hear`
     is_busy = False  # whether it must be polled at every tick, as no descriptor would wake the loop
     is_coming = False  # whether the last poll took frames and no whole scan: more are on their way
     waits_for = ""  # a line on why no scans come; empty where nothing is amiss
@@ -84,13 +83,6 @@ class Source:
     def poll(self, now_s: float) -> list[Scan]:
         """Take what has arrived; → the scans that it ends. `now_s` is monotonic."""
         raise NotImplementedError
-
-    def hear(self, frame: ArrayFrame) -> None:
-        """A frame of an array has come by the door."""
-
-    def heed(self, *, connected: bool, malformed: int, reason: str) -> None:
-        """The door's report on an array: whether somebody sends it, the number of messages that
-        were no arrays, and why the last of them was not."""
 
     def close(self) -> None:
         """Stop the skin and close the device, if there is one."""
@@ -350,7 +342,6 @@ class LiveSource(Source):
 class ArraySource(Source):
     """Arrays that somebody else sends: the door hears and checks them, and wakes the loop."""
 
-    comes_by_door = True
     decoder: ArrayDecoder
 
     def __init__(
@@ -368,9 +359,12 @@ class ArraySource(Source):
         self._malformed, self._reason, self._connected = 0, "", False
 
     def hear(self, frame: ArrayFrame) -> None:
+        """A frame has come by the door."""
         self._held.append(frame)
 
     def heed(self, *, connected: bool, malformed: int, reason: str) -> None:
+        """The door's report: whether somebody sends, the number of messages that were no arrays,
+        and why the last of them was not."""
         if malformed != self._malformed:
             self._say(f"source.endpoint: messages are no arrays: {reason}")
         self._malformed, self._connected = malformed, connected

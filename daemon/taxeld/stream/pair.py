@@ -75,20 +75,13 @@ def send(end: socket.socket, kind: Kind, *values: object, file: int | None = Non
         elif len(packet) <= PACKET_MAX:
             end.send(packet)
         else:
-            _send_large(end, packet)
+            with os.fdopen(os.memfd_create("taxeld"), "wb") as large:
+                large.write(packet)
+                large.flush()
+                socket.send_fds(end, [b"\xc0"], [large.fileno()])
     except BlockingIOError:
         return False
     return True
-
-
-def _send_large(end: socket.socket, packet: bytes) -> None:
-    file = os.memfd_create("taxeld", os.MFD_CLOEXEC)
-    try:
-        with open(file, "wb", closefd=False) as writer:
-            writer.write(packet)
-        socket.send_fds(end, [b"\xc0"], [file])
-    finally:
-        os.close(file)
 
 
 def receive(end: socket.socket) -> tuple[int, list[Any]] | None:

@@ -53,7 +53,7 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
     Raises:
         SetupError: the session or the configuration cannot be used, or the presses do not suffice.
     """
-    if not session.has_poses(directory):
+    if not (directory / session.POSES).exists():
         raise SetupError(
             f"{directory / session.POSES}: is missing; a calibration needs the robot's poses, so "
             "record with sensor_pose.endpoint"

@@ -36,7 +36,6 @@ from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
 from taxeld_hil.trials.guides import BeliefGuide
 from taxeld_hil.world import subjects
-from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import BROADCAST, Command, Packet
 from taxeld_protocol.frames import Chunk, Frame
 
@@ -148,8 +147,8 @@ class FakeDaemon:
 
     def tick(self, t: float) -> None:
         for source, line in zip(self.sources, self._lines, strict=True):
-            for frame in line.take() if source.comes_by_door else ():
-                if isinstance(frame, ArrayFrame):
+            if isinstance(source, ArraySource):
+                for frame in line.take():
                     source.hear(frame)
         for outcome in self.pipeline.advance(polled(self.sources, t), t):
             self.pipeline.freshness.came(t, outcome.link)
