@@ -53,11 +53,10 @@ def test_the_estimator_on_recorded_activations_takes_ten_lines_and_gives_the_ses
     place: Path,
 ) -> None:
     """The same as the session's own pipeline, bit for bit."""
-    _, kept, estimator, *_ = pages.blocks(PAGE)
+    _, estimator, *_ = pages.blocks(PAGE)
     assert len(estimator.code.splitlines()) <= 10
-    names: dict[str, Any] = {}
+    names: dict[str, Any] = {"Replay": api.Replay}
     with pages.working_in(place):
-        pages.run(kept.code.replace("used =", "from taxeld.api import Replay\nused ="), names)
         pages.run(estimator.code, names)
     for ours, replayed in (
         (names["estimate"].map, names["used"][-1].estimate.map),
