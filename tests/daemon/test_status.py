@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,13 @@ from taxeld.commands.status import lines
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import CURES, Why
 from taxeld.stream import client
+from tests import pages
 from tests.rig.clocks import until
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
 from tests.rig.processes import taxeld
 from tests.rig.recorded import LiveSkin
-from tests.rig.stream_page import documented
+from tests.rig.stream_page import ROOT, documented
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +105,16 @@ def rows_of(**answer: Any) -> dict[str, str]:
     usual = {name: documented(f"/taxeld/{name}")[1] for name in ("estimate", "health")}
     rows = (row.partition(": ") for row in lines(usual | answer))
     return {name.rstrip(): value for name, _, value in rows}
+
+
+def test_status_begins_as_the_page_of_a_first_robot_shows() -> None:
+    page = (ROOT / "docs" / "first-robot.md").read_text(encoding="utf-8")
+    [shown] = [text for language, text in pages.FENCED.findall(page) if language == "text"]
+    of_one = {"status": Status.CONVERGED, "objects": {"bracket": 1.0, "other": 0.0}}
+    estimate = documented("/taxeld/estimate")[1] | of_one
+    said = "\n".join(lines({"estimate": estimate}))
+    number = partial(pages.NUMBER.sub, "N")
+    assert number(said).startswith(number(shown))
 
 
 def test_a_device_that_is_waited_for_and_the_age_of_a_calibration_have_a_row() -> None:
