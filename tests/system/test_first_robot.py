@@ -60,16 +60,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [build] = [text for text in shown(GUIDE, "sh") if text.startswith("taxeld-train build")]
     built = follow(build, made)
     assert built.returncode == 0, built.stderr
-    (made / "built").write_text(built.stdout, encoding="utf-8")
     return made
-
-
-def test_the_guides_build_ends_with_what_it_shows(place: Path) -> None:
-    """But for the time that it took."""
-    _, _, after = GUIDE.read_text(encoding="utf-8").partition("\nhow good ")
-    shown = "how good " + after.partition("```")[0]
-    printed = (place / "built").read_text(encoding="utf-8")
-    assert NUMBER.sub("N", printed[printed.index("how good ") :]) == NUMBER.sub("N", shown)
 
 
 def test_the_guides_commands_print_what_it_shows(place: Path) -> None:
