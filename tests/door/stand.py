@@ -19,6 +19,7 @@ from taxeld.stream.link import Link
 
 from ..rig.clocks import until
 from ..rig.processes import free_port
+from ..rig.sockets import Sockets
 
 INFO = {"taxeld": "0"}
 QUEUE = 60
@@ -27,7 +28,7 @@ NOBODY = 65_534
 needs_root = os.geteuid() != 0, "only root can be another user"
 
 
-class Stand(contextlib.ExitStack):
+class Stand(Sockets):
     """A door that serves a stream and control in a directory."""
 
     def __init__(self, place: Path, **settings: Any) -> None:
@@ -45,7 +46,6 @@ class Stand(contextlib.ExitStack):
         self.further: list[tuple[float, float, float, float]] = []  # poses of further links
         self.keeper = Doorkeeper(Settings(**served))
         self.callback(self.keeper.close)
-        self.context: zmq.Context[Any] = self.enter_context(zmq.Context())
         self._next_estimate_s = 0.0
         self.sent = 0
         try:
@@ -82,8 +82,8 @@ class Stand(contextlib.ExitStack):
         until(holds, self.look)
 
     def socket(self, kind: int, endpoint: str = "", **options: int) -> zmq.Socket[Any]:
-        made: zmq.Socket[Any] = self.enter_context(self.context.socket(kind))
-        for name, value in {"LINGER": 0, **options}.items():
+        made = self.open(kind)
+        for name, value in options.items():
             made.setsockopt(getattr(zmq, name), value)
         if endpoint:
             made.connect(endpoint)
@@ -91,13 +91,9 @@ class Stand(contextlib.ExitStack):
 
     def losses(self, socket: zmq.Socket[Any]) -> zmq.Socket[Any]:
         """Readable once the socket has lost its connection."""
-        made: zmq.Socket[Any] = self.enter_context(
-            socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
-        )
-        made.setsockopt(zmq.LINGER, 0)
-        return made
+        return self.keep(socket.get_monitor_socket(zmq.EVENT_DISCONNECTED))
 
-    def subscriber(self, *topics: bytes, endpoint: str = "", **options: int) -> zmq.Socket[Any]:
+    def listener(self, *topics: bytes, endpoint: str = "", **options: int) -> zmq.Socket[Any]:
         made = self.socket(zmq.SUB, **options)
         for topic in topics:
             made.setsockopt(zmq.SUBSCRIBE, topic)
@@ -127,10 +123,6 @@ class Stand(contextlib.ExitStack):
             return True
 
         self.until(bound)
-
-    def robot(self) -> zmq.Socket[Any]:
-        """A publisher of poses, which is not bound yet."""
-        return self.socket(zmq.PUB)
 
 
 def robots_endpoint(host: str = "127.0.0.1") -> str:

@@ -25,7 +25,7 @@ def test_a_killed_door_is_back_and_subscribers_come_back_by_themselves(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with Stand(tmp_path) as stand:
-        heard = stand.subscriber(b"/taxeld/")
+        heard = stand.listener(b"/taxeld/")
         for number in (signal.SIGKILL, signal.SIGSEGV):
             before = stand.pid
             os.kill(before, number)
@@ -69,7 +69,7 @@ def test_signals_of_a_terminal_or_a_service_that_stops_leave_the_door_to_its_loo
         before = stand.pid
         os.kill(before, signal.SIGINT)
         os.kill(before, signal.SIGTERM)
-        stand.received(stand.subscriber(b"/taxeld/e"))
+        stand.received(stand.listener(b"/taxeld/e"))
         assert stand.pid == before
     assert not Path(f"/proc/{before}").exists()
     assert list(tmp_path.iterdir()) == []
@@ -137,7 +137,7 @@ def test_a_second_daemon_leaves_the_first_ones_sockets_alone(tmp_path: Path) -> 
     with Stand(tmp_path) as first:
         with pytest.raises(SetupError, match="another daemon serves"):
             Stand(tmp_path)
-        first.received(first.subscriber(b"/taxeld/e"))
+        first.received(first.listener(b"/taxeld/e"))
 
 
 NAMES = ["Max data size", "Max open files", "Max locked memory", "Max file size"]

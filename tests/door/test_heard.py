@@ -22,7 +22,7 @@ class Robot:
 
     def __init__(self, stand: Stand, endpoint: str) -> None:
         self.stand, self.endpoint = stand, endpoint
-        self.socket = stand.robot()
+        self.socket = stand.socket(zmq.PUB)
 
     def until_heard(self, x: float) -> None:
         def comes() -> bool:

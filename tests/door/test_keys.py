@@ -56,7 +56,7 @@ class Keyed(Stand):
         super().__init__(place, keys=str(place / "keys"), **(taken | settings))
         self.server = curve.public_key(place / "keys" / "server.key")
 
-    def listener(self, *own: bytes, server: bytes = b"", kind: int = zmq.SUB) -> zmq.Socket[Any]:
+    def holder(self, *own: bytes, server: bytes = b"", kind: int = zmq.SUB) -> zmq.Socket[Any]:
         """A socket on TCP with a pair of keys; without one it is plain."""
         made = self.socket(kind)
         if own:
@@ -78,23 +78,23 @@ def test_only_the_holder_of_an_authorised_key_hears_or_asks_anything(
     keyed: Keyed, tmp_path: Path
 ) -> None:
     own = curve.secret_key(tmp_path / "client/client.key_secret")
-    known = keyed.listener(*own)
+    known = keyed.holder(*own)
     while keyed.received(known)[0] != topics.INFO:
         pass
     assert keyed.link.report.keys_refused == 0
-    stranger = keyed.listener(*pair(tmp_path / "stranger", "stranger"))
-    plain = keyed.listener()
-    misled = keyed.listener(*own, server=pair(tmp_path / "fake", "fake")[0])
+    stranger = keyed.holder(*pair(tmp_path / "stranger", "stranger"))
+    plain = keyed.holder()
+    misled = keyed.holder(*own, server=pair(tmp_path / "fake", "fake")[0])
     keyed.until(lambda: keyed.link.report.keys_refused)
     for _ in range(20):
         keyed.received(known)
     assert not any(socket.poll(0) for socket in (stranger, plain, misled))
-    unheard, asking = keyed.listener(kind=zmq.REQ), keyed.listener(*own, kind=zmq.REQ)
+    unheard, asking = keyed.holder(kind=zmq.REQ), keyed.holder(*own, kind=zmq.REQ)
     for each in (unheard, asking):
         each.send(b"\x81\xa3cmd\xa4info")
     keyed.received(asking)
     assert not unheard.poll(100)
-    keyed.received(keyed.subscriber(b"/taxeld/e"))  # the socket file takes none
+    keyed.received(keyed.listener(b"/taxeld/e"))  # the socket file takes none
 
 
 def test_a_client_takes_its_keys_from_the_environment(
@@ -116,8 +116,8 @@ def test_newcomers_with_a_key_are_served_beside_a_flood_of_those_without_and_aft
     with attacked("strange_keys", keyed.tcp, keyed.server.decode()):
         keyed.until(lambda: keyed.link.report.keys_refused > 300)
         for _ in range(3):
-            keyed.received(keyed.listener(*own))
-    keyed.received(keyed.listener(*own))
+            keyed.received(keyed.holder(*own))
+    keyed.received(keyed.holder(*own))
     assert resident_bytes(keyed.pid) < 100 << 20
 
 
@@ -129,7 +129,7 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
     with Keyed(tmp_path, robot=endpoint) as keyed:
 
         def robot(x: float, secret: bytes) -> zmq.Socket[Any]:
-            made = keyed.robot()
+            made = keyed.socket(zmq.PUB)
             made.setsockopt(zmq.CURVE_SERVER, 1)
             made.setsockopt(zmq.CURVE_SECRETKEY, secret)
             keyed.until_bound(made, endpoint)

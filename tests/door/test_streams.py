@@ -28,9 +28,9 @@ def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Stand]:
 
 
 def test_each_subscriber_to_info_is_told_who_speaks_and_no_other(stand: Stand) -> None:
-    other = stand.subscriber(b"/taxeld/estimate", b"/taxeld/information", b"/robot/")
+    other = stand.listener(b"/taxeld/estimate", b"/taxeld/information", b"/robot/")
     for prefix in (b"", b"/taxeld/info"):
-        heard = stand.subscriber(prefix)
+        heard = stand.listener(prefix)
         while (parts := stand.received(heard))[0] != topics.INFO:
             pass
         assert msgpack.unpackb(parts[1]) == INFO
@@ -46,12 +46,12 @@ def test_each_subscriber_to_info_is_told_who_speaks_and_no_other(stand: Stand) -
 def test_the_loop_knows_which_topics_somebody_wants(stand: Stand) -> None:
     wants = stand.link.wants
     assert not any(map(wants, topics.TOPICS))
-    first, second = (stand.subscriber(topics.TAXELS, b"/taxeld/p") for _ in range(2))
+    first, second = (stand.listener(topics.TAXELS, b"/taxeld/p") for _ in range(2))
     stand.until(lambda: wants(topics.TAXELS) and wants(topics.PARTICLES))
     assert not wants(topics.HEALTH)
-    stand.received(stand.subscriber(topics.INFO))  # the second is heard as well by now
+    stand.received(stand.listener(topics.INFO))  # the second is heard as well by now
     first.close()
-    third = stand.subscriber(topics.COUNTS)
+    third = stand.listener(topics.COUNTS)
     stand.until(lambda: wants(topics.COUNTS))
     assert wants(topics.TAXELS)
     second.close()
@@ -80,7 +80,7 @@ def test_all_topics_are_wanted_while_subscriptions_wait(
 
 @pytest.mark.parametrize("end", [b"\x00", b""])
 def test_no_peer_ends_the_topic_of_another(stand: Stand, end: bytes) -> None:
-    honest = stand.subscriber(topics.TAXELS)
+    honest = stand.listener(topics.TAXELS)
     stand.until(lambda: stand.link.wants(topics.TAXELS))
     stranger = stand.socket(zmq.XSUB, stand.stream)
     for said in (b"\x01" + topics.PARTICLES, end + topics.TAXELS, b"\x01" + topics.HEALTH):
@@ -95,8 +95,8 @@ def test_no_peer_ends_the_topic_of_another(stand: Stand, end: bytes) -> None:
 
 @pytest.mark.check
 def test_a_slow_subscriber_keeps_a_bounded_number_and_loses_the_rest_alone(stand: Stand) -> None:
-    stalled = stand.subscriber(b"/taxeld/e", RCVHWM=1, RCVBUF=4096)
-    reading = stand.subscriber(b"/taxeld/e")
+    stalled = stand.listener(b"/taxeld/e", RCVHWM=1, RCVBUF=4096)
+    reading = stand.listener(b"/taxeld/e")
     stand.received(stalled)
     stand.received(reading)
     body, sent = {"blob": "x" * 700}, 1000
@@ -136,7 +136,7 @@ def test_an_attack_costs_neither_the_door_nor_honest_peers_anything(
     tmp_path: Path, attack: str, endpoint: str, copies: int
 ) -> None:
     with Stand(tmp_path) as stand:
-        door, honest = stand.pid, stand.subscriber(b"/taxeld/e")
+        door, honest = stand.pid, stand.listener(b"/taxeld/e")
         stand.received(honest)
         lost = stand.losses(honest)
         for _ in range(copies):
@@ -144,7 +144,7 @@ def test_an_attack_costs_neither_the_door_nor_honest_peers_anything(
         for _ in range(ESTIMATES):
             stand.received(honest)
         assert stand.answer({"cmd": "info"})["ok"]
-        stand.received(stand.subscriber(b"/taxeld/e"))
+        stand.received(stand.listener(b"/taxeld/e"))
         assert resident_bytes(door) < MOST_BYTES
         assert stand.pid == door
         assert not lost.poll(0)

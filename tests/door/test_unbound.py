@@ -34,13 +34,13 @@ def test_where_an_address_cannot_be_had_the_rest_is_served_and_the_address_once_
         told = refused("check", configuration(tmp_path, relay={"publish": [stream]}))
         assert told.startswith(f"relay.publish: cannot bind {stream} (Address already in use); ")
         with Stand(tmp_path, relay_publish=(stream, *absent), relay_control=control) as stand:
-            stand.received(stand.subscriber(b"/taxeld/e"))
+            stand.received(stand.listener(b"/taxeld/e"))
             assert stand.answer({"cmd": "info"})["info"] == INFO
             stand.until(lambda: stand.link.report.unbound == 4)
             for thief in thieves:
                 thief.close()
             stand.until(lambda: stand.link.report.unbound == 2)
-            stand.received(stand.subscriber(b"/taxeld/e", endpoint=stream))
+            stand.received(stand.listener(b"/taxeld/e", endpoint=stream))
             assert stand.answer({"cmd": "info"}, control)["info"] == INFO
             assert stand.keeper.starts == 1
     assert [line for line in caplog.messages if stream in line] == [
