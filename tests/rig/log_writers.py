@@ -5,8 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import can
-
 from taxeld.commands.decode import decode
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
@@ -67,26 +65,10 @@ def candump_log(interface: str = "can0", end: str = "") -> Write:
     return write
 
 
-def python_can(frames: list[Frame], path: Path) -> None:
-    """The log that python-can's own writer makes for a name."""
-    with can.Logger(path) as log:
-        for frame in frames:
-            log.on_message_received(
-                can.Message(
-                    timestamp=frame.t,
-                    arbitration_id=frame.can_id,
-                    is_extended_id=frame.extended,
-                    data=frame.data,
-                    channel=0,
-                )
-            )
-
-
 WRITERS: dict[str, Write] = {  # by the name of a file
     "candump": candump_log(),
     "candump.log": candump_log(),
     "candump-x.log": candump_log(end=" R"),
-    "a.log": python_can,
 }
 
 

@@ -21,8 +21,10 @@ from taxeld.source.modules import ListedModules, RecordedModules
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Chunk, Frame, parse_logged
 
-OTHERS = (".asc", ".blf", ".csv", ".db", ".gz", ".mf4", ".trc")  # formats that python-can knows
-KNOWN = "candump -l and -L, and serial.bin are read"
+KNOWN = (
+    "candump -l and -L, and serial.bin are read; 'python3 -m can.logconvert LOG OTHER.log' "
+    "converts other logs"
+)
 ONE = "keep those of the skin's, as by grep ' can0 ' LOG"
 LINE_MAX = 8192  # bytes; a CAN XL frame, the longest, has 4 150 in candump text
 STANDARD_MAX, EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
@@ -104,11 +106,6 @@ def decode(path: Path, listed: Listed = ()) -> Iterator[str]:
 
 def _items(path: Path, damage: Damage) -> Iterator[Frame | Chunk | None]:
     """A log in its order; None for a frame that carries nothing for a skin. Raises SetupError."""
-    if path.suffix.lower() in OTHERS:
-        raise SetupError(
-            f"{path}: is no candump text; make it so with "
-            f"'python3 -m can.logconvert {path} {path.stem}.log'"
-        )
     if path.name == session.SERIAL:
         items = (record.item for record in session.items(path.parent))
         yield from (item for item in items if isinstance(item, Chunk))
