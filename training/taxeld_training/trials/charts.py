@@ -34,7 +34,7 @@ def front(rows: Sequence[Row], path: Path) -> None:
     figure = Figure(figsize=(7.0, 7.4), layout="constrained")
     over_all, single = figure.subplots(2, sharex=True, height_ratios=(3, 2))
     _draw_filters(over_all, [row for row in rows if row["of"].keys() == {"cell", "method"}])
-    each = [row for row in rows if "object" in row["of"]]
+    each = [row for row in rows if row["of"].keys() == {"cell", "method", "object"}]
     for name, colour, marker in zip(SHOWN, COLOURS, MARKERS, strict=False):
         sized = _sized([row for row in each if row["of"]["object"] == name])
         if not sized:
