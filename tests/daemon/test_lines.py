@@ -309,44 +309,38 @@ def test_a_skin_that_is_unplugged_comes_back(opened: Opened, kind: str) -> None:
     assert skin.hub.ihb.auto_sync
 
 
-@transports
-def test_what_waited_on_a_line_while_the_loop_was_stopped_is_dropped_and_counted(
-    opened: Opened, kind: str, tmp_path: Path
+@pytest.mark.parametrize(("kind", "began"), [("plain", True), (NATIVE, True), (NATIVE, False)])
+def test_what_waited_on_a_line_while_the_loop_was_stopped_or_had_not_begun_is_dropped_and_counted(
+    opened: Opened, kind: str, began: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing tells when it came, and the robot may have moved meanwhile."""
+    """Nothing tells when it came, and the robot may have moved meanwhile. Between opening the
+    device and the first pass, samplers and models are loaded."""
+    clock = SimpleNamespace(monotonic=lambda: 0.0, time=time.time, sleep=time.sleep)
+    monkeypatch.setattr("taxeld.source.sources.time", clock)
     with Recorder(tmp_path / "session", moves=False) as recorder:
-        skin = opened(kind, recorder=recorder)
-        skin.more()
-        before = skin.hub.scans
-        for _ in range(100):
+        skin = opened(kind, recorder=recorder, listen_only=not began, modules=LISTED * (not began))
+        if began:
+            skin.more()
+        else:  # something else has started it
+            skin.hub.ihb.phase, skin.hub.ihb.auto_sync, skin.port.is_open = (
+                Phase.RUNNING,
+                True,
+                True,
+            )
+        before, taken = skin.hub.scans, len(skin.scans)
+        for _ in range(102):  # no scan is due in the next pass
             skin.turn(polls=False)
         missed = skin.hub.scans - before
         assert missed >= 15
         skin.more()
         now = skin.hub.scans
-        assert [s.counts[0] for s in skin.scans[3:]] == [now - 2, now - 1, now]
+        assert [s.counts[0] for s in skin.scans[taken:]] == [now - 2, now - 1, now]
         assert skin.source.counters.late == missed
         skin.source.close()
-    decoded = Decoder().take(items_of(tmp_path / "session"))  # type: ignore[arg-type]
+    decoder = Decoder(lambda _: MODULES)
+    decoded = decoder.take(items_of(tmp_path / "session"))  # type: ignore[arg-type]
     recorded = [scan.counts for _, ended in decoded for scan in ended]
     assert recorded == [scan.counts for scan in skin.scans], "it is not recorded"
-
-
-def test_what_waited_on_a_line_while_the_daemon_started_is_dropped_and_counted(
-    opened: Opened, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Between opening the device and the first pass, samplers and models are loaded."""
-    clock = SimpleNamespace(monotonic=lambda: 0.0, time=time.time, sleep=time.sleep)
-    monkeypatch.setattr("taxeld.source.sources.time", clock)
-    skin = opened(NATIVE, listen_only=True, modules=LISTED)
-    skin.hub.ihb.phase, skin.hub.ihb.auto_sync = Phase.RUNNING, True
-    skin.port.is_open = True  # something else has started it
-    for _ in range(102):  # no scan is due in the first pass
-        skin.turn(polls=False)
-    missed = skin.hub.scans
-    skin.more()
-    assert [s.counts[0] for s in skin.scans] == [missed + 1, missed + 2, missed + 3]
-    assert skin.source.counters.late == missed
 
 
 @pytest.fixture
