@@ -15,11 +15,11 @@ from pathlib import Path
 
 import zmq
 from checks import check
-from touch import PATIENCE_S, VCAN0, frame_times, recording, sh, until
+from touch import OVER_TCP, PATIENCE_S, VCAN0, frame_times, recording, sh, until
 
 from taxeld.config.tables import ControlConfig, PublishConfig
 from taxeld.source import session
-from taxeld.stream import topics
+from taxeld.stream import client, topics
 
 STREAM, CONTROL = PublishConfig().endpoints[0], ControlConfig().endpoint
 CHANGER, MEMBER, STRANGER = "changer", "member", "stranger"
@@ -33,6 +33,7 @@ socket.socket(socket.AF_UNIX).connect(sys.argv[1].removeprefix("ipc://"))
 answer = client.ask(*sys.argv[1:], timeout_s={PATIENCE_S})
 print("done" if answer["ok"] else "refused")
 """
+ATTACKS = "subscribe_and_leave", "endless_to_stream", "unique_subscriptions"
 FRAMES = 100  # in a recording that has begun
 IDS = iter(range(0x7F0, 0x800))  # of CAN, that no skin has; another one each time
 LEAST_BYTES = 1_000_000
@@ -143,6 +144,21 @@ def only_members_hear_and_only_those_of_the_control_group_change() -> None:
         MEMBER: {"status": "done", "tare": "refused", "reset": "refused"},
         STRANGER: dict.fromkeys(ASKED, "no socket"),
     }
+
+
+@check
+def floods_by_members_and_over_tcp_end_no_daemon_and_cost_no_frame() -> str:
+    users()
+    with undisturbed() as kept:
+        for attack in ATTACKS:
+            for user, endpoint in ((MEMBER, STREAM), (STRANGER, OVER_TCP)):
+                command = [sys.executable, "/vm/attacks.py", attack, endpoint, "4"]
+                assert int(subprocess.check_output(as_user(user, *command))), attack
+                with listening(STREAM) as member, listening(OVER_TCP) as over_tcp:
+                    assert member.estimates
+                    assert over_tcp.estimates
+        assert client.ask(CONTROL, "status", timeout_s=PATIENCE_S) is not None
+    return f"{2 * len(ATTACKS)} attacks, {len(kept)} frames"
 
 
 @check
