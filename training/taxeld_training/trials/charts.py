@@ -25,6 +25,7 @@ SHIPS = "table"
 SIZED = "table "  # methods that differ in their particles alone
 SHOWN = "002_master_chef_can", "003_cracker_box", "035_power_drill", "025_mug"
 KEYS = "ms", "to_sure"  # of the axes of the front
+AWAY = {SHIPS: (-60, -30), "density": (-52, 10)}  # of labels that others would cover [points]
 
 
 def front(rows: Sequence[Row], path: Path) -> None:
@@ -51,6 +52,7 @@ def front(rows: Sequence[Row], path: Path) -> None:
     for axes in (over_all, single):
         _plain(axes, 9)
         axes.set_xscale("log")
+        axes.set_ylim(bottom=1.0)
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -68,7 +70,7 @@ def _draw_filters(axes: Axes, rows: Sequence[Row]) -> None:
         axes.plot([x, x], row["ci"]["to_sure"], color=colour, lw=1.0, alpha=0.6)
         axes.plot(x, y, "o", color=colour, ms=9 if name == SHIPS else 5)
         label = name.removeprefix(SIZED) + " (ships)" * (name == SHIPS)
-        away = (0, -14) if is_sized else (-60, -20) if name == SHIPS else (6, 5)
+        away = (-4, -14) if is_sized else AWAY.get(name, (6, 6))
         axes.annotate(label, (x, y), away, textcoords="offset points", fontsize=9, color=colour)
     best: list[Row] = []
     for row in sorted(rows, key=lambda row: row["ms"]):
