@@ -14,9 +14,10 @@ from typing import get_type_hints
 
 import pytest
 
+from taxeld.commands.init import connection
 from taxeld.config.file import load, parse
 from taxeld.config.gate import keys_of
-from taxeld.config.tables import Config, SkinConfig
+from taxeld.config.tables import Config, SkinConfig, SourceConfig
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 from taxeld.source.sources import live
@@ -208,6 +209,20 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, flags: list[str
         f"{path}: is there already and is not overwritten"
     )
     assert path.read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "keys"),
+    [
+        ("can:can0", ("can", "socketcan", "can0")),
+        ("slcan:/dev/ttyACM0@3000000", ("can", "slcan", "/dev/ttyACM0@3000000")),
+        ("pcan:PCAN_USBBUS1", ("can", "pcan", "PCAN_USBBUS1")),
+        ("serial:/dev/ttyACM0@115200", ("serial", "socketcan", "/dev/ttyACM0@115200")),
+    ],
+)
+def test_a_connection_is_one_of_the_daemons_sources(text: str, keys: tuple[str, ...]) -> None:
+    found = SourceConfig(**connection(text, "TARGET"))
+    assert (found.kind, found.interface, found.channel) == keys
 
 
 @pytest.mark.parametrize(

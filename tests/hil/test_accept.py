@@ -261,20 +261,3 @@ def test_the_json_is_strict_and_has_a_row_for_each_rule_and_taxel() -> None:
     assert [row["holds"] for row in value["rules"]] == [rule.holds for rule in found]
     assert len(value["taxels"]) == len(SKIN)
     assert (value["taxels"][-1]["level"], value["passed"]) == (None, False)
-
-
-@pytest.mark.parametrize(
-    ("target", "kind", "interface", "channel"),
-    [
-        ("can:can0", "can", "socketcan", "can0"),
-        ("slcan:/dev/ttyACM0@3000000", "can", "slcan", "/dev/ttyACM0@3000000"),
-        ("pcan:PCAN_USBBUS1", "can", "pcan", "PCAN_USBBUS1"),
-        ("serial:/dev/ttyACM0@115200", "serial", "socketcan", "/dev/ttyACM0@115200"),
-    ],
-)
-def test_a_target_is_one_of_the_daemons_sources(
-    target: str, kind: str, interface: str, channel: str
-) -> None:
-    found = accept.source_of(target, 20)
-    expected = (kind, interface, channel, 20)
-    assert (found.kind, found.interface, found.channel, found.period_ms) == expected

@@ -7,8 +7,8 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from taxeld.config import endpoints, gate
 from taxeld.config import file as config_file
-from taxeld.config import gate
 from taxeld.config.tables import Config, SkinConfig, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import generated
@@ -18,13 +18,10 @@ from taxeld.source.sources import least_period_ms
 
 Tables = dict[str, dict[str, Any]]  # values of keys, by table
 
-SOURCES = {  # connection as named by `taxeld-hil accept` → keys of [source]
-    "can": {"kind": "can"},
-    "slcan": {"kind": "can", "interface": "slcan"},
-    "serial": {"kind": "serial"},
-    "array": {"kind": "array"},
-}
-FORMS = "can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0 or array:ENDPOINT"
+FORMS = (
+    "can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, array:ENDPOINT, or an interface of "
+    "python-can's and its channel, as pcan:PCAN_USBBUS1"
+)
 
 
 def write(path: Path, options: Mapping[str, Any]) -> Config:
@@ -72,7 +69,11 @@ def _toml(value: object) -> str:
 
 def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
     """The keys that follow from the options."""
-    source, named, layout = _source(options["source"]), options["bundle"], options["layout"]
+    source, named, layout = (
+        connection(options["source"], "--source"),
+        options["bundle"],
+        options["layout"],
+    )
     usual = SkinConfig()
     depth_m, built_for = usual.full_scale_depth_m, usual.layout
     if named:
@@ -97,11 +98,22 @@ def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
     }
 
 
-def _source(text: str) -> dict[str, Any]:
+def connection(text: str, option: str) -> dict[str, Any]:
+    """The keys of [source] for what FORMS names; `option`: of the command, for a fault.
+
+    Raises:
+        SetupError: the text is none of them.
+    """
     kind, _, channel = text.partition(":")
-    if kind not in SOURCES or not channel:
-        raise SetupError(f"--source: '{text}' is no connection; use {FORMS}")
-    return {**SOURCES[kind], "endpoint" if kind == "array" else "channel": channel}
+    if not kind or not channel:
+        raise SetupError(f"{option}: '{text}' is no connection; use {FORMS}")
+    if kind == "array":
+        if fault := endpoints.fault(channel):
+            raise SetupError(f"{option}: {fault}")
+        return {"kind": kind, "endpoint": channel}
+    if kind in ("can", "serial"):
+        return {"kind": kind, "channel": channel}
+    return {"kind": "can", "interface": kind, "channel": channel}
 
 
 def _from(path: Path, name: str) -> str:

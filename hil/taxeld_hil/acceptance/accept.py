@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taxeld.config import endpoints
+from taxeld.commands.init import connection
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
@@ -54,7 +54,7 @@ def run(
         if not least <= value <= most:
             raise SetupError(f"{option}: must be {least:g}..{most:g}, not {value:g}")
     layout = layouts.read(skin)
-    config = source_of(target, period_ms)
+    config = SourceConfig(**connection(target, "TARGET"), period_ms=period_ms)
     when = time.strftime("%Y-%m-%d %H:%M:%S")
     try:
         with contextlib.ExitStack() as stack:
@@ -125,27 +125,3 @@ def report(target: str, when: str, got: Received, found: Sequence[Rule]) -> dict
             for i, uid in enumerate(got.layout.uid.tolist())
         ],
     }
-
-
-def source_of(target: str, period_ms: int) -> SourceConfig:
-    """The daemon's source for `can:CHANNEL`, `serial:DEVICE[@BAUD]`, `array:ENDPOINT`, or
-    `INTERFACE:CHANNEL` of any interface that python-can knows.
-
-    Raises:
-        SetupError: it is none of them.
-    """
-    kind, _, channel = target.partition(":")
-    if not kind or not channel:
-        raise SetupError(
-            f"TARGET: '{target}' is none; use can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, "
-            "array:tcp://127.0.0.1:9870, or a python-can interface and its channel, as "
-            "pcan:PCAN_USBBUS1"
-        )
-    if kind == "array":
-        if fault := endpoints.fault(channel):
-            raise SetupError(f"TARGET: {fault}")
-        return SourceConfig(kind=kind, endpoint=channel, period_ms=period_ms)
-    if kind == "serial":
-        return SourceConfig(kind=kind, channel=channel, period_ms=period_ms)
-    interface = "socketcan" if kind == "can" else kind
-    return SourceConfig(kind="can", interface=interface, channel=channel, period_ms=period_ms)
