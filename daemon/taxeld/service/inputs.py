@@ -112,8 +112,8 @@ class Inputs:
         self.watch = PoseWatch(config.sensor_pose.endpoint, config.source.period_ms / 1000.0)
         open_one = partial(open_source, recorder=recorder, wait=door is not None)
         with contextlib.ExitStack() as opened:
-            alone = door or Doorkeeper(poses_alone(config))
-            self.door = opened.enter_context(contextlib.closing(alone))
+            self.door = door or Doorkeeper(poses_alone(config))
+            opened.enter_context(contextlib.closing(self.door))
             # that of the first link first
             self.sources = open_sources(config, layouts, open_one, opened)
             arrays = (source for source in self.sources if isinstance(source, ArraySource))
@@ -121,7 +121,7 @@ class Inputs:
             if self.array is not None:
                 link.on_array = self.array.hear
             if door is None:
-                alone.wait(link)
+                self.door.wait(link)
             self.close = opened.pop_all().close
 
     def poll(self, now_s: float) -> list[Scan]:
@@ -145,8 +145,6 @@ class Inputs:
         report = self._link.report
         if self.watch.endpoint:
             self.watch.look(t, report.robot, is_heard=self._link.is_heard)
-        array = report.array
         if self.array is not None:
-            self.array.heed(
-                connected=array.connected, malformed=array.malformed, reason=array.reason
-            )
+            line = report.array
+            self.array.heed(connected=line.connected, malformed=line.malformed, reason=line.reason)
