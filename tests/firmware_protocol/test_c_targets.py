@@ -99,7 +99,8 @@ def test_the_pages_program_is_also_a_program_in_cpp(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "found_by", ["find_package(taxeld_protocol 0.2 REQUIRED)", "add_subdirectory({C} taxeld)"]
+    "found_by",
+    [f"find_package(taxeld_protocol {__version__} REQUIRED)", "add_subdirectory({C} taxeld)"],
 )
 def test_a_cmake_project_uses_the_header(tmp_path: Path, found_by: str) -> None:
     needed("cmake", COMPILERS[0])

@@ -16,7 +16,8 @@ def test_the_version_is_the_same_wherever_it_stands() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["version"] == __version__
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert f"\n## {__version__}\n" in changes
+    sections = re.findall(r"^## (\S+)(?:, \d{4}-\d\d-\d\d)?$", changes, re.MULTILINE)
+    assert sections[0] == __version__
 
 
 def test_contributing_lists_every_make_target_and_files_that_are_there() -> None:
