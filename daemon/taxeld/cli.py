@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from taxeld import command_line
-from taxeld.command_line import FAILED, Run
+from taxeld.command_line import FAILED, Arguments, Run, flag, given
 from taxeld.config.file import load
 from taxeld.config.gate import ConfigError
 from taxeld.errors import SetupError
-
-Argument = tuple[tuple[str, ...], dict[str, Any]]  # of `add_argument`
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -234,69 +232,57 @@ def _view(args: argparse.Namespace) -> int:
     return 0
 
 
-def _given(name: str, values: str, about: str, kind: Any = str, **how: Any) -> Argument:
-    """An argument with the named `values`, each of a `kind`."""
-    names = tuple(values.split())
-    if len(names) > 1:
-        return (name,), {"nargs": len(names), "metavar": names, "type": kind, "help": about} | how
-    return (name,), {"metavar": values, "type": kind, "help": about} | how
-
-
-def _flag(name: str, about: str) -> Argument:
-    return (name,), {"action": "store_true", "help": about}
-
-
-CONFIG = _given("config", "CONFIG", "a configuration", Path)
+CONFIG = given("config", "CONFIG", "a configuration", Path)
 DAEMON_ABOUT = "of a daemon (default: of the service, or of this user)"
 SOURCE_ABOUT = "can:can0, slcan:DEVICE, serial:DEVICE or array:ENDPOINT"
-DAEMON = _given("daemon", "CONFIG|ENDPOINT", DAEMON_ABOUT, nargs="?", default="")
+DAEMON = given("daemon", "CONFIG|ENDPOINT", DAEMON_ABOUT, nargs="?", default="")
 USUAL_SD = (0.02, 0.02, 0.2)
 
-COMMANDS: dict[Run, tuple[Argument, ...]] = {
+COMMANDS: dict[Run, Arguments] = {
     _init: (
-        _given("config", "CONFIG", "a new file", Path),
-        _given("--source", "SOURCE", SOURCE_ABOUT, default=""),
-        _given("--bundle", "OBJECT", "box, drill, mug or a directory (the skin alone)", default=""),
-        _given("--layout", "LAYOUT", "the skin's (what the bundle was built for)", default=""),
-        _given("--poses", "ENDPOINT", "where the robot publishes (no robot)", default=""),
+        given("config", "CONFIG", "a new file", Path),
+        given("--source", "SOURCE", SOURCE_ABOUT, default=""),
+        given("--bundle", "OBJECT", "box, drill, mug or a directory (the skin alone)", default=""),
+        given("--layout", "LAYOUT", "the skin's (what the bundle was built for)", default=""),
+        given("--poses", "ENDPOINT", "where the robot publishes (no robot)", default=""),
     ),
-    _run: (CONFIG, _given("--record", "DIR", "also record a session into this new one", Path)),
+    _run: (CONFIG, given("--record", "DIR", "also record a session into this new one", Path)),
     _check: (CONFIG,),
-    _record: (CONFIG, _given("--out", "DIR", "a new directory", Path, required=True)),
+    _record: (CONFIG, given("--out", "DIR", "a new directory", Path, required=True)),
     _replay: (
-        _given("directory", "DIR", "a session", Path),
-        _given("--config", "CONFIG", "in place of the session's own config.toml", Path),
-        _given("--seed", "N", "in place of filter.seed", int),
+        given("directory", "DIR", "a session", Path),
+        given("--config", "CONFIG", "in place of the session's own config.toml", Path),
+        given("--seed", "N", "in place of filter.seed", int),
     ),
     _decode: (
-        _given("log", "LOG", "a log of candump, or a serial.bin", Path),
-        _given("--config", "CONFIG", "with source.modules; a session has its own", Path),
+        given("log", "LOG", "a log of candump, or a serial.bin", Path),
+        given("--config", "CONFIG", "with source.modules; a session has its own", Path),
     ),
     _calibrate: (
-        _given("source", "CONFIG|SESSION", "a skin to be pressed now, or recorded", Path),
-        _given("--out", "FILE", "*.toml", Path),
-        _flag("--check", "only judge the session's own full scale and mount by its touches"),
-        _given("--object", "X Y YAW", "its pose, if known, in the world [m, m, rad]", float),
+        given("source", "CONFIG|SESSION", "a skin to be pressed now, or recorded", Path),
+        given("--out", "FILE", "*.toml", Path),
+        flag("--check", "only judge the session's own full scale and mount by its touches"),
+        given("--object", "X Y YAW", "its pose, if known, in the world [m, m, rad]", float),
     ),
-    _layout: (_given("layout", "LAYOUT", "cylinder:… or wrap:…, or a .json or .csv file"),),
-    _status: (DAEMON, _flag("--json", "the whole answer as JSON")),
+    _layout: (given("layout", "LAYOUT", "cylinder:… or wrap:…, or a .json or .csv file"),),
+    _status: (DAEMON, flag("--json", "the whole answer as JSON")),
     _tare: (DAEMON,),
     _reset: (DAEMON,),
     _prior: (
         DAEMON,
-        _given("--at", "X Y YAW", "in the world [m, m, rad]; YAW may be nan", float, required=True),
-        _given("--sd", "X Y YAW", "standard deviations (0.02 0.02 0.2)", float, default=USUAL_SD),
+        given("--at", "X Y YAW", "in the world [m, m, rad]; YAW may be nan", float, required=True),
+        given("--sd", "X Y YAW", "standard deviations (0.02 0.02 0.2)", float, default=USUAL_SD),
     ),
     _advise: (
         CONFIG,
-        _flag("--json", "one line of JSON for each advice"),
-        _flag("--follow", "again whenever more was felt, until stopped"),
-        _given("--reach", "X X Y Y", "of the sensor [m] (the filter's square)", float, default=()),
+        flag("--json", "one line of JSON for each advice"),
+        flag("--follow", "again whenever more was felt, until stopped"),
+        given("--reach", "X X Y Y", "of the sensor [m] (the filter's square)", float, default=()),
     ),
     _view: (
-        _given("source", "CONFIG|ENDPOINT|SESSION", DAEMON_ABOUT, nargs="?", default=""),
-        _given("--save", "FILE", "into an .rrd file, no window", Path),
-        _given("--seconds", "S", "of scans, from the first on (all)", float, default=math.inf),
+        given("source", "CONFIG|ENDPOINT|SESSION", DAEMON_ABOUT, nargs="?", default=""),
+        given("--save", "FILE", "into an .rrd file, no window", Path),
+        given("--seconds", "S", "of scans, from the first on (all)", float, default=math.inf),
     ),
 }
 
@@ -310,11 +296,7 @@ def _parser() -> argparse.ArgumentParser:
         "taxeld run can0.toml",
         "taxeld status can0.toml",
     )
-    commands = command_line.commands_of(parser)
-    for run, arguments in COMMANDS.items():
-        made = command_line.documented(commands, run)
-        for names, how in arguments:
-            made.add_argument(*names, **how)
+    command_line.add_commands(parser, COMMANDS)
     return parser
 
 

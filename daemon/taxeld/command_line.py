@@ -11,7 +11,7 @@ import re
 import shlex
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from taxeld import __version__
@@ -25,26 +25,45 @@ STDERR = 2  # the last standard stream's number
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 PACKAGES = {"rerun": "rerun-sdk"}  # of modules that have another name
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Run: TypeAlias = Callable[[argparse.Namespace], int]
+Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]  # of `add_argument`
+Arguments: TypeAlias = Sequence[Argument | list[Argument]]  # those of a list exclude each other
 
 
 def parser(prog: str, text: str, *examples: str) -> argparse.ArgumentParser:
-    """The parser of a program; its commands are added by `documented`."""
+    """The parser of a program; its commands are added by `add_commands`."""
     return _usable(argparse.ArgumentParser(prog=prog, **_help(text, examples)))
 
 
-def commands_of(parent: argparse.ArgumentParser) -> Commands:
-    return parent.add_subparsers(required=True, metavar="COMMAND", title="commands")
+def given(name: str, values: str, about: str, kind: Any = str, **how: Any) -> Argument:
+    """An argument with the named `values`, each of a `kind`."""
+    names = tuple(values.split())
+    if len(names) > 1:
+        return (name,), {"nargs": len(names), "metavar": names, "type": kind, "help": about} | how
+    return (name,), {"metavar": values, "type": kind, "help": about} | how
 
 
-def documented(commands: Commands, run: Run) -> argparse.ArgumentParser:
-    """Add the command `_name` of which the docstring has a sentence, and an example a line."""
-    text, *examples = filter(None, (inspect.getdoc(run) or "").splitlines())
-    name = run.__name__.lstrip("_")
-    made = _usable(commands.add_parser(name, help=text, **_help(text, examples)))
-    made.set_defaults(command=run, name=name)
-    return made
+def flag(name: str, about: str) -> Argument:
+    return (name,), {"action": "store_true", "help": about}
+
+
+def add_commands(parent: argparse.ArgumentParser, table: Mapping[Run, Arguments]) -> None:
+    """Add the commands `_name`, of which a docstring has a sentence, and an example a line. One of
+    a list of arguments must be given, unless one has a default."""
+    commands = parent.add_subparsers(required=True, metavar="COMMAND", title="commands")
+    for run, arguments in table.items():
+        text, *examples = filter(None, (inspect.getdoc(run) or "").splitlines())
+        name = run.__name__.lstrip("_")
+        made = _usable(commands.add_parser(name, help=text, **_help(text, examples)))
+        made.set_defaults(command=run, name=name)
+        for argument in arguments:
+            if not isinstance(argument, list):
+                made.add_argument(*argument[0], **argument[1])
+                continue
+            needed = not any("default" in how for _, how in argument)
+            group = made.add_mutually_exclusive_group(required=needed)
+            for names, how in argument:
+                group.add_argument(*names, **how)
 
 
 def _help(text: str, examples: "tuple[str, ...] | list[str]") -> dict[str, Any]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxeld import command_line
+from taxeld.command_line import Arguments, Run, flag, given
 from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from taxeld_hil.jobs import Job
     from taxeld_hil.scenario.scenario import Scenario
 
+FULL_SCALE_COUNTS = SkinConfig().full_scale_counts
 MATRIX_OBJECTS, MATRIX_FOAMS = ("box", "mug"), ("scene", "typical", "poor")
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parent / "scenarios").glob("*.toml"))
 
@@ -49,7 +51,8 @@ def _run(args: argparse.Namespace) -> int:
     from taxeld_hil.run.fake import FakeRun
 
     is_simulated = args.target == "sim"
-    scenario = _scenario(args, *args.layout or ())
+    scenario = _scenario(args, args.foam, *args.layout or ())
+    scenario = replace(scenario, advised=scenario.advised or args.advised)
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     run: live.LiveRun | FakeRun
@@ -73,10 +76,10 @@ def _say_next(scenario: "Scenario", out: Path) -> None:
     _say(f"see it: {_command('taxeld', 'view', out)}")
     if scenario.links > 1:
         return  # their configuration is in the session
-    given = ["--bundle", scenario.bundle]
-    given += ["--layout", scenario.layout] if scenario.layout else []
+    more = ["--bundle", scenario.bundle]
+    more += ["--layout", scenario.layout] if scenario.layout else []
     source = "array:tcp://127.0.0.1:9870" if scenario.transport == "array" else "can:can0"
-    _say(f"next: {_command('taxeld', 'init', 'robot.toml', '--source', source, *given)}")
+    _say(f"next: {_command('taxeld', 'init', 'robot.toml', '--source', source, *more)}")
 
 
 def _command(program: str, *words: object) -> str:
@@ -122,8 +125,8 @@ def _expect(args: argparse.Namespace) -> int:
             raise SetupError(f"{option} must be at least 1")
     depth_m = None if args.depth_mm is None else 1e-3 * args.depth_mm
     subject = Subject(args.object, height_m=args.height_m, depth_m=depth_m)
-    given = Conditions(foam=args.foam, robot_m=1e-3 * args.robot_mm, robot_told=True)
-    made = expect.cases(subject, args.layout, given, args.touches, args.memory / "expect")
+    conditions = Conditions(foam=args.foam, robot_m=1e-3 * args.robot_mm, robot_told=True)
+    made = expect.cases(subject, args.layout, conditions, args.touches, options.MEMORY / "expect")
     runs = _done(expect.jobs(made, args.seeds), args, expect.described)
     _say("\n".join(expect.written(made[expect.AS_IS], runs, args.out)))
     return 0
@@ -173,7 +176,7 @@ def _done(
     """The results of jobs, in their order."""
     from taxeld_hil import jobs
 
-    done = jobs.run(todo, args.memory, workers=args.workers, describe=describe)
+    done = jobs.run(todo, options.MEMORY, workers=args.workers, describe=describe)
     return [done[job.name] for job in todo]
 
 
@@ -187,23 +190,98 @@ def _emulate(args: argparse.Namespace) -> int:
     fault = endpoints.fault(args.poses, has_keys=True)
     if fault:
         raise SetupError(f"--poses: {fault}")
-    scenario = _scenario(args).over("can" if args.can else "")
+    scenario = _scenario(args, "").over("can" if args.can else "")
     if emulate(scenario, args.seed, args.poses, args.can or args.link, args.out):
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
     return 1
 
 
-def _scenario(args: argparse.Namespace, *layouts: str) -> "Scenario":
-    """The scenario that the arguments name, with their object and foam, and these layouts.
+def _scenario(args: argparse.Namespace, foam: str, *layouts: str) -> "Scenario":
+    """The scenario that the arguments name, with their object, this foam and these layouts.
 
     Raises:
         SetupError: there is no such scenario or foam.
     """
     from taxeld_hil.scenario import scenario as scenarios
 
-    found = scenarios.load(args.scenario).touching(args.object).on(args.foam, *layouts)
-    return replace(found, advised=found.advised or args.advised)
+    return scenarios.load(args.scenario).touching(args.object).on(foam, *layouts)
+
+
+SCENARIO = given("scenario", "SCENARIO", "a shipped name (demo) or a TOML file")
+SEED = given("--seed", "N", "default: 0", int, default=0)
+OBJECT_ABOUT = "in place of the scenario's object: box, drill, mug, or a path"
+OBJECT = given("--object", "BUNDLE", OBJECT_ABOUT, default="")
+FOAM_NAMES = ", ".join(FOAMS)
+
+COMMANDS: dict[Run, Arguments] = {
+    _run: (
+        SCENARIO,
+        SEED,
+        OBJECT,
+        given("--out", "DIR", "for the session and its grade", Path),
+        given("--target", "TARGET", "sim, can:can0, serial:DEVICE or slcan:DEVICE", default="sim"),
+        given("--poses", "ENDPOINT", "on hardware: the robot's", default=""),
+        given("--truth", "X Y THETA", "on hardware: the object's pose [m, m, rad]", float),
+        given("--foam", "FOAM", f"in place of the scenario's: {FOAM_NAMES}", default=""),
+        given("--clock", "CLOCK", "real or fake", choices=("real", "fake"), default="real"),
+        flag("--advised", "the robot follows the daemon's advice, on the fake clock"),
+        given("--layout", "LAYOUT", "in place of the scenario's; of a link each", action="append"),
+    ),
+    _accept: (
+        given("target", "TARGET", "can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …"),
+        given("--layout", "LAYOUT", "of this skin, as skin.layout", required=True),
+        given("--out", "DIR", "for the report", Path),
+        given("--seconds", "S", "of listening to an untouched skin (15)", float, default=15.0),
+        flag("--press", "then ask for a press on each module"),
+        given("--period-ms", "MS", "between scans (50)", int, default=50),
+        given("--full-scale-counts", "N", "as in [skin]", float, default=FULL_SCALE_COUNTS),
+    ),
+    _expect: (
+        given("--object", "OBJECT", "a bundle, a YCB id or a mesh file", required=True),
+        given("--layout", "LAYOUT", "as skin.layout (what a bundle was built for)", default=""),
+        given("--foam", "FOAM", f"{FOAM_NAMES} (typical)", default="typical"),
+        given("--robot-mm", "SD", "of the robot's error in x and y (1)", float, default=1.0),
+        given("--height-m", "H", "the sensor frame's, over the object's foot (as it fits)", float),
+        given("--depth-mm", "D", "of the foam, at full scale (5, or the bundle's)", float),
+        given("--touches", "N", "default: 8", int, default=8),
+        given("--seeds", "N", "trials (60)", int, default=60),
+        options.WORKERS,
+        given("--out", "DIR", "for the JSON", Path, default=Path("expect")),
+    ),
+    _matrix: (
+        given("scenario", "SCENARIO", "default: all shipped", nargs="*"),
+        given(
+            "--object", "BUNDLE", f"may be repeated ({', '.join(MATRIX_OBJECTS)})", action="append"
+        ),
+        given("--foam", "FOAM", f"may be repeated ({', '.join(MATRIX_FOAMS)})", action="append"),
+        options.layout_option("what each object's bundle was built for"),
+        given("--seeds", "N", "runs of each kind (5)", int, default=5),
+        options.WORKERS,
+        given("--out", "DIR", "for the JSON", Path, required=True),
+    ),
+    _soak: (
+        given("scenario", "SCENARIO", "default: demo", nargs="?", default="demo"),
+        SEED,
+        [
+            given("--hours", "H", "of scans, on the fake clock (1)", float, default=1.0),
+            given("--real-minutes", "N", "over the transport, in real time", int),
+        ],
+        options.WORKERS,
+        given("--out", "FILE", "the report", Path, default=Path("soak.json")),
+    ),
+    _emulate: (
+        SCENARIO,
+        SEED,
+        OBJECT,
+        [
+            given("--link", "PATH", "that will be a link to the virtual SLCAN adapter", Path),
+            given("--can", "INTERFACE", "of this machine, such as vcan0"),
+        ],
+        given("--poses", "ENDPOINT", "for the robot's poses", required=True),
+        given("--out", "DIR", "for the session", Path, required=True),
+    ),
+}
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -211,112 +289,12 @@ def _parser() -> argparse.ArgumentParser:
         "taxeld-hil",
         "The test harness: a simulated or real skin and robot around a daemon, and a grade for it."
         f"\n\n{textwrap.fill('Scenarios: ' + ', '.join(SCENARIOS), 80)}."
-        f"\n\nFoams of the simulated skin: {', '.join(FOAMS)}.",
+        f"\n\nFoams of the simulated skin: {FOAM_NAMES}.",
         "taxeld-hil run demo",
         "taxeld-hil accept can:can0 --layout skin.json",
     )
-    commands = command_line.commands_of(parser)
-    for run, add_options in (
-        (_run, _of_run),
-        (_accept, _of_accept),
-        (_expect, _of_expect),
-        (_matrix, _of_matrix),
-        (_soak, _of_soak),
-        (_emulate, _of_emulate),
-    ):
-        add_options(command_line.documented(commands, run))
+    command_line.add_commands(parser, COMMANDS)
     return parser
-
-
-def _of_run(made: argparse.ArgumentParser) -> None:
-    add = made.add_argument
-    _add_scenario(made)
-    add("--out", type=Path, help="directory for the session and its grade")
-    about = "sim, can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0"
-    add("--target", default="sim", help=about)
-    add("--poses", default="", help="on hardware: the robot's endpoint")
-    about = "on hardware: where the object is in the robot's world [m, m, rad]"
-    add("--truth", type=float, nargs=3, metavar=("X", "Y", "THETA"), help=about)
-    add("--foam", default="", help=f"in place of the scenario's: {', '.join(FOAMS)}")
-    add("--clock", choices=("real", "fake"), default="real")
-    about = "the robot follows the daemon's advice, on the fake clock"
-    add("--advised", action="store_true", help=about)
-    about = "in place of the scenario's, as skin.layout; each of several is of a link"
-    add("--layout", action="append", help=about)
-
-
-def _of_accept(made: argparse.ArgumentParser) -> None:
-    add = made.add_argument
-    add("target", metavar="TARGET", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …")
-    add("--layout", required=True, help="the layout of this skin, as skin.layout")
-    add("--out", type=Path, help="directory for the report")
-    about = "seconds to listen while nothing touches the skin"
-    add("--seconds", type=float, default=15.0, help=about)
-    add("--press", action="store_true", help="then ask for a press on each module")
-    add("--period-ms", type=int, default=50, help="milliseconds between scans")
-    counts = SkinConfig().full_scale_counts
-    add("--full-scale-counts", type=float, default=counts, help="as skin.full_scale_counts")
-
-
-def _of_expect(made: argparse.ArgumentParser) -> None:
-    add = made.add_argument
-    about = "a bundle (box, drill, mug, a path), a YCB id or a mesh file"
-    add("--object", required=True, help=about)
-    add("--layout", default="", help="as skin.layout; default: what a bundle was built for")
-    add("--foam", default="typical", help=f"default: typical; {', '.join(FOAMS)}")
-    about = "the robot's error in x and in y, sd, drawn for each touch (default %(default)s)"
-    add("--robot-mm", type=float, default=1.0, metavar="SD", help=about)
-    about = "the sensor frame's origin above the object's lowest point (default: as it fits)"
-    add("--height-m", type=float, metavar="H", help=about)
-    about = "of the foam, at full scale (default: 5, or the bundle's)"
-    add("--depth-mm", type=float, metavar="D", help=about)
-    add("--touches", type=int, default=8, metavar="N", help="default %(default)s")
-    add("--seeds", type=int, default=60, metavar="N", help="trials (default %(default)s)")
-    options.add_workers(made)
-    add("--out", type=Path, default=Path("expect"), metavar="DIR", help="for the JSON")
-
-
-def _of_matrix(made: argparse.ArgumentParser) -> None:
-    add = made.add_argument
-    add("scenario", nargs="*", metavar="SCENARIO", help="default: all shipped")
-    for option, default in (("--object", MATRIX_OBJECTS), ("--foam", MATRIX_FOAMS)):
-        add(option, action="append", help=f"may be repeated; default: {', '.join(default)}")
-    options.add_layouts(made, "what each object's bundle was built for")
-    about = "runs of each kind (default %(default)s)"
-    add("--seeds", type=int, default=5, metavar="N", help=about)
-    options.add_workers(made)
-    add("--out", type=Path, required=True, metavar="DIR", help="for the JSON")
-
-
-def _of_soak(made: argparse.ArgumentParser) -> None:
-    add = made.add_argument
-    add("scenario", nargs="?", default="demo", metavar="SCENARIO", help="default: demo")
-    add("--seed", type=int, default=0)
-    long = made.add_mutually_exclusive_group().add_argument
-    long("--hours", type=float, default=1.0, help="hours of scans, on the fake clock")
-    long("--real-minutes", type=int, help="minutes over the transport, in real time")
-    options.add_workers(made)
-    add("--out", type=Path, default=Path("soak.json"), help="the report")
-
-
-def _of_emulate(made: argparse.ArgumentParser) -> None:
-    add = made.add_argument
-    _add_scenario(made)
-    made.set_defaults(foam="", advised=False)
-    where = made.add_mutually_exclusive_group(required=True).add_argument
-    where("--link", type=Path, help="path that will be a link to the virtual SLCAN adapter")
-    where("--can", metavar="INTERFACE", help="CAN interface of this machine, such as vcan0")
-    add("--poses", required=True, help="endpoint for the robot's poses")
-    add("--out", type=Path, required=True, help="directory for the session")
-
-
-def _add_scenario(made: argparse.ArgumentParser) -> None:
-    """The scenario, its seed, and what replaces parts of it."""
-    add = made.add_argument
-    add("scenario", metavar="SCENARIO", help="a shipped name (demo) or a TOML file")
-    add("--seed", type=int, default=0)
-    about = "in place of the scenario's object: box, drill, mug, or a path"
-    add("--object", default="", metavar="BUNDLE", help=about)
 
 
 if __name__ == "__main__":

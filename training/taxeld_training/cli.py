@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from taxeld import command_line
-from taxeld.command_line import documented
+from taxeld.command_line import Argument, Arguments, Run, flag, given
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld_hil import options
@@ -104,54 +104,6 @@ def _evaluate(args: argparse.Namespace) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = command_line.parser(
-        "taxeld-train",
-        "Make what the daemon needs of an object, and answer questions by trials.",
-        "taxeld-train scene bracket.stl --height-m 0.05",
-        "taxeld-train build bracket.stl --height-m 0.05 --out bracket",
-    )
-    commands = command_line.commands_of(parser)
-    scene = documented(commands, _scene)
-    scene.add_argument("object", metavar="OBJECT", help=OBJECT)
-    _add_skin(scene)
-    about = "draw the object, the skin's heights and the slices"
-    scene.add_argument("--png", type=Path, metavar="OUT", help=about)
-    build = documented(commands, _build)
-    build.add_argument("object", metavar="OBJECT", nargs="+", help=OBJECT)
-    _add_skin(build, "; again for each further link", action="append")
-    add = build.add_argument
-    about = "directory of the bundle; of several objects, the directory that holds theirs"
-    add("--out", type=Path, required=True, metavar="BUNDLE", help=about)
-    about = "train no sampler: simulated contacts, looked up in a table, propose poses; in seconds"
-    add("--table", action="store_true", help=about)
-    about = "share of the sampler's full training; 0.02 takes a minute, and it is poor (default 1)"
-    add("--effort", type=float, default=1.0, metavar="SHARE", help=about)
-    add("--ddpm", action="store_true", help="also the diffusion, a baseline; takes twice as long")
-    about = "of the trials at the end: exact, typical or poor (default %(default)s)"
-    add("--foam", default="typical", help=about)
-    documented(commands, _seal).add_argument("bundle", type=Path, metavar="BUNDLE")
-    _add_options(documented(commands, _evaluate))
-    return parser
-
-
-def _add_skin(made: argparse.ArgumentParser, more: str = "", action: str = "store") -> None:
-    """Add the options that say where the skin meets an object; `more` and `action`: of those that
-    are given for each link."""
-    about = f"as skin.layout in the configuration{more} (default {SkinConfig().layout})"
-    made.add_argument("--layout", help=about, action=action)
-    about = f"the sensor frame's origin above the object's lowest point{more} (default {HEIGHT_M})"
-    made.add_argument("--height-m", type=float, metavar="H", help=about, action=action)
-    about = "depth of a press at full scale (default %(default)g)"
-    made.add_argument(
-        "--depth-mm",
-        type=float,
-        default=1e3 * SkinConfig().full_scale_depth_m,
-        metavar="D",
-        help=about,
-    )
-
-
 def _names(text: str) -> tuple[str, ...]:
     return tuple(filter(None, text.split(",")))
 
@@ -167,21 +119,64 @@ def _seeds(text: str) -> tuple[int, ...]:
     raise SetupError(f"--seeds: must be a number of them, or FIRST-LAST, not '{text}'")
 
 
-def _add_options(one: argparse.ArgumentParser) -> None:
-    add = one.add_argument
-    add("question", nargs="*", metavar="QUESTION", help=f"{QUESTIONS} (default: all)")
-    add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
-    options.add_jobs(one)
-    add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
-    about = "trials of each cell, or from which seed to which (40-79)"
-    add("--seeds", default="", metavar="N", help=about)
-    about = "in place of the question's"
-    add("--objects", type=_names, default=(), metavar="A,B", help=about)
-    about = "cells, all that begin with a word (moved), methods, guides or motions: no others"
-    add("--cells", type=_names, default=(), metavar="A,B", help=about)
-    options.add_layouts(one, "a ring of 5 rows")
-    about = "of 'real': recordings, as examples/nao_recordings.py makes them"
-    add("--data", type=Path, metavar="DIR", help=about)
+DEPTH_MM = 1e3 * SkinConfig().full_scale_depth_m
+EACH = "; again for each further link"
+
+
+def _of_skin(more: str = "", action: str = "store") -> tuple[Argument, ...]:
+    """Options that say where the skin meets an object; `more` and `action`: of those that are given
+    for each link."""
+    about = f"as skin.layout in the configuration{more} (default {SkinConfig().layout})"
+    height = f"the sensor frame's origin above the object's lowest point{more} (default {HEIGHT_M})"
+    return (
+        given("--layout", "LAYOUT", about, action=action),
+        given("--height-m", "H", height, float, action=action),
+        given(
+            "--depth-mm", "D", f"of a press at full scale ({DEPTH_MM:g})", float, default=DEPTH_MM
+        ),
+    )
+
+
+COMMANDS: dict[Run, Arguments] = {
+    _scene: (
+        given("object", "OBJECT", OBJECT),
+        *_of_skin(),
+        given("--png", "OUT", "draw the object, the skin's heights and the slices", Path),
+    ),
+    _build: (
+        given("object", "OBJECT", OBJECT, nargs="+"),
+        *_of_skin(EACH, "append"),
+        given("--out", "BUNDLE", "a directory; of several objects, of theirs", Path, required=True),
+        flag("--table", "train no sampler: simulated contacts, looked up, propose poses"),
+        given("--effort", "SHARE", "of the sampler's full training (1)", float, default=1.0),
+        flag("--ddpm", "also the diffusion, a baseline; takes twice as long"),
+        given("--foam", "FOAM", "of the trials at the end (typical)", default="typical"),
+    ),
+    _seal: (given("bundle", "BUNDLE", "a directory", Path),),
+    _evaluate: (
+        given("question", "QUESTION", f"{QUESTIONS} (default: all)", nargs="*"),
+        given("--out", "DIR", "for the tables", Path, default=Path("docs/results")),
+        options.WORKERS,
+        given("--memory", "DIR", "finished jobs", Path, default=options.MEMORY),
+        flag("--quick", "a smoke run; its figures mean nothing"),
+        given("--seeds", "N", "trials of each cell, or FIRST-LAST (40-79)", default=""),
+        given("--objects", "A,B", "in place of the question's", _names, default=()),
+        given("--cells", "A,B", "that begin so (moved), methods, guides", _names, default=()),
+        options.layout_option("a ring of 5 rows"),
+        given("--data", "DIR", "of 'real': what examples/nao_recordings.py makes", Path),
+    ),
+}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = command_line.parser(
+        "taxeld-train",
+        "Make what the daemon needs of an object, and answer questions by trials.",
+        "taxeld-train scene bracket.stl --height-m 0.05",
+        "taxeld-train build bracket.stl --height-m 0.05 --out bracket",
+    )
+    command_line.add_commands(parser, COMMANDS)
+    return parser
 
 
 if __name__ == "__main__":
