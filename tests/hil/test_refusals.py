@@ -21,6 +21,8 @@ WRONG = [  # a command line, and words of its line
     ("run demo --clock fake --object party", NO_BUNDLE),
     ("run party", "no scenario 'party'; shipped are "),
     ("soak --lap 1", "soak --lap: is gone; a soak's report has a row a lap"),
+    ("physics --fit", "taxeld-hil physics: is gone; 'taxeld-hil expect' has how well"),
+    ("run demo --skin poor", "taxeld-hil run --skin: is gone; say --foam"),
     ("table --seeds 5", "taxeld-hil table: is gone; 'taxeld-hil matrix' has "),
     ("draw session --out x.png", "taxeld-hil draw: is gone; 'taxeld view DIR' draws"),
     ("run demo --transport native", "run --transport: is gone; the scenario's file has its"),
