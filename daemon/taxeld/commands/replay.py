@@ -164,8 +164,6 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
 
 
 class RecordedSource:
-    """A source of a session."""
-
     def __init__(
         self, directory: Path, config: SourceConfig, skins: Mapping[int, Layout], *, alone: bool
     ) -> None:

@@ -45,7 +45,6 @@ class Streams:
         return {topic for topic in TOPICS if topic.startswith(tuple(self._prefixes))}
 
     def poll(self, now_s: float) -> None:  # noqa: ARG002
-        """Take subscriptions."""
         for _ in range(EVENTS_PER_LOOK):
             if not is_waiting(self.socket):
                 break

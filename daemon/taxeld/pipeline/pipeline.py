@@ -155,7 +155,6 @@ class Pipeline:
 
     @property
     def has_object(self) -> bool:
-        """Whether there is an object, and so an estimator."""
         return self._estimator is not None
 
     @property
@@ -180,7 +179,6 @@ class Pipeline:
 
     @property
     def is_touched(self) -> bool:
-        """Whether a skin is."""
         return any(stage.skin.touched for stage in self.stages)
 
     def advance(self, scans: Iterable[Scan], now: float) -> Iterator[Outcome]:

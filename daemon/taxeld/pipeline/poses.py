@@ -26,8 +26,6 @@ OnPose = Callable[[float, float, float, float], None]
 
 
 class TakenPose(NamedTuple):
-    """A pose that was taken."""
-
     t: float
     pose: tuple[float, float, float]
 

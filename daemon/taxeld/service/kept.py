@@ -261,7 +261,6 @@ def read(path: Path) -> Arrays:
 
 
 def _warn(path: Path | None, reason: str) -> None:
-    """Say why a file, or a part of it, is not used."""
     log.warning("%s: not used, %s", path, reason)
 
 

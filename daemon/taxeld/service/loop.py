@@ -197,7 +197,6 @@ class Daemon:
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
 
     def _look(self, now_s: float) -> None:
-        """Take what the door has said."""
         self._next_look_s = now_s + LOOK_S
         self.door.look(now_s)
 

@@ -23,8 +23,6 @@ log = logging.getLogger(__name__)
 
 
 class Notices:
-    """The notices of one daemon."""
-
     def __init__(self, made: Prepared, names: Sequence[str]) -> None:
         """`names`: of the objects that it may be."""
         self._made, self._names = made, names

@@ -43,7 +43,6 @@ class Notifier:
             self._send(f"STATUS={status(now_s)}")
 
     def stopping(self) -> None:
-        """The loop has ended."""
         self._send("STOPPING=1")
         if self._socket is not None:
             self._socket.close()

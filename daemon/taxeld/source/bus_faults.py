@@ -71,8 +71,6 @@ def counted(counts: Mapping[str, int]) -> str:
 
 
 class BusHealth:
-    """The faults of one source's bus."""
-
     def __init__(self) -> None:
         self.counts = dict.fromkeys(BusFault, 0)  # since start
         self._until_s: dict[BusFault, float] = {}  # time at which each has passed

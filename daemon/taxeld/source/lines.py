@@ -65,8 +65,6 @@ def line_of(channel: str, usual: int) -> tuple[str, int]:
 
 
 class SerialLine(Device):
-    """An open serial line."""
-
     def __init__(self, where: str, baud: int) -> None:
         super().__init__()
         self._rest = b""  # rest of a request of which the line has taken a part

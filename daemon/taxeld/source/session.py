@@ -53,8 +53,6 @@ log = logging.getLogger(__name__)
 
 
 class Record(NamedTuple):
-    """What came."""
-
     steps: int  # number of times that the recorder's clock had been set back
     t: float
     link: int  # of a pose; of other items: the first link of their source
@@ -127,7 +125,6 @@ class _Reading:
         self._lacks_bytes = False
 
     def merged(self, *, poses: bool = True) -> Iterator[Record]:
-        """The records of all files."""
         found: dict[str, Callable[[], Iterator[tuple[int, Item]]]]
         found = {SERIAL: self._chunks, FRAMES: self._frames, ARRAY: self._arrays}
         if poses:  # the first of those of the same time
