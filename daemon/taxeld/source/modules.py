@@ -54,13 +54,8 @@ class RecordedModules:
         placed: bool = True,
     ) -> None:
         """`items` reads the recording; `what`: its name in messages. Unless its taxels are to be
-        `placed`, a DECLARE alone tells a hub's modules.
-
-        Raises:
-            SetupError: the modules of the first scan are unknown.
-        """
+        `placed`, a DECLARE alone tells a hub's modules."""
         self._given, self._items, self._what, self._is_placed = given, items, what, placed
-        any(scans for _, scans in Decoder(self.of).take(items()))  # up to the first scan
 
     def of(self, ihb: int) -> list[Module]:
         """The modules of a hub that streams before it has declared them; empty where only other
