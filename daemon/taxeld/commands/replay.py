@@ -12,7 +12,6 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
-from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.freshness import Why
@@ -116,18 +115,16 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     """
     where = str(directory) if (directory / session.POSES).exists() else ""
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
+    begun = session.begun(directory) if any(one.skin.calibration for one in config.each) else 0.0
     try:
-        for one in config.each:
-            layouts.load(one.skin.layout)
-        for name in config.scene.names:
-            bundle.find(name, "scene.bundles" if config.scene.bundles else bundle.KEY)
+        return prepared(config, begun, recorded=True).pipeline
     except SetupError as error:
+        if not str(error).startswith(("skin.layout", "scene.bundle")):
+            raise
         raise SetupError(
             f"{error}; a session does not hold its layout and its bundle: name them in "
             f"{directory / session.CONFIG}, by whole paths, or in another file with --config"
         ) from None
-    begun = session.begun(directory) if any(one.skin.calibration for one in config.each) else 0.0
-    return prepared(config, begun, recorded=True).pipeline
 
 
 def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
