@@ -6,7 +6,6 @@ It is a process of its own that brings the skin up; `taxeld run --record` record
 import time
 from collections.abc import Callable
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 
 from taxeld.config.tables import Config
@@ -60,8 +59,7 @@ class Recording:
             SetupError: a device or the directory cannot be used.
         """
         config, recorder = self.config, self._recorder
-        numbers = range(len(config.names))
-        tracks = [PoseTrack(partial(recorder.pose, link=k)) for k in numbers]
+        tracks = [PoseTrack(on_pose) for on_pose in recorder.on_poses]
         link = Link({}, lambda *pose: tracks[pose[4]].add(*pose[:4], time.time()), {})
         skins = [layouts.load(one.skin.layout) for one in config.each]
         with recorder, closing(Inputs(config, skins, link, recorder)) as inputs:

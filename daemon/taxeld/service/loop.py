@@ -11,7 +11,6 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from functools import partial
 from typing import Any
 
 from taxeld.config.tables import Config
@@ -56,11 +55,7 @@ class Daemon:
             # the door's process starts while the slow parts here load
             door = Doorkeeper(settings_of(config))
             self.door = opened.enter_context(contextlib.closing(door))
-            on_poses = (
-                [partial(recorder.pose, link=k) for k in range(len(config.each))]
-                if recorder
-                else []
-            )
+            on_poses = recorder.on_poses if recorder else []
             made = prepared(config, time.time(), time.perf_counter_ns, on_poses)
             self.config, self.layouts, self.pipeline = made.config, made.layouts, made.pipeline
             self.pipeline.thinks_at_once = False

@@ -14,8 +14,9 @@ import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import Self
@@ -145,6 +146,11 @@ class Recorder:
         self._came += 1
         self._came_bytes += _size(item)
         self._waiting.append((item, link))
+
+    @property
+    def on_poses(self) -> list[Callable[[float, float, float, float], None]]:
+        """What takes a pose (t, x, y, θ) of each link's sensor."""
+        return [partial(self.pose, link=k) for k in range(self._links)]
 
     def pose(self, t: float, x: float, y: float, theta: float, link: int = 0) -> None:
         self.take((t, x, y, theta), link)
