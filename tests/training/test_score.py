@@ -166,7 +166,8 @@ def test_a_touch_is_timed_by_quiet_scans_of_its_own_trial() -> None:
 
 
 def test_a_push_has_the_error_over_its_path_and_advice_its_cost() -> None:
-    ends = [touch(path_mm=float(mm), guide_ms=30.0) for mm in range(11)]
+    felt = (*map(float, range(11)), math.nan)  # the last push was not felt
+    ends = [touch(path_mm=mm, guide_ms=30.0) for mm in felt]
     found = row(played(*([GOOD, end] for end in ends)))
     assert found["path_mm"] == [1.0, 5.0, 9.0]
     assert found["ci"]["path_mm"][0] < 5.0 < found["ci"]["path_mm"][1]

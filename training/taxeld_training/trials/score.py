@@ -98,9 +98,11 @@ def figures(group: Sequence[Played], quiet: dict[str, float]) -> Row:
     row["estimates"], row["ece"] = p.size, calibration_error(row["bins"])
     if any(len(each.known) > 1 for each in group):
         row |= _identity(group, of)
-    if np.isfinite(path_mm := _all(group, "path_mm")[:, -1]).any():
+    path_mm = _all(group, "path_mm")[:, -1]
+    if (felt := np.isfinite(path_mm)).any():  # not every push is
+        row["pushes"], path_mm = int(felt.sum()), path_mm[felt]
         row["path_mm"] = np.quantile(path_mm, (0.1, 0.5, 0.9)).round(2).tolist()
-        ci["path_mm"] = by_seeds(lambda v: float(np.median(v)), path_mm, seeds, 2)
+        ci["path_mm"] = by_seeds(lambda v: float(np.median(v)), path_mm, seeds[felt], 2)
     spent_ms = np.concatenate([_scaled_ms(each, quiet) for each in group])
     row["ms"] = round(float(np.median(spent_ms)), 3)
     row["ms_at"] = np.median(spent_ms, axis=0).round(3).tolist()
