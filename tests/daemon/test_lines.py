@@ -20,13 +20,14 @@ from taxeld.source.lines import SerialLine
 from taxeld.source.opening import open_device, open_source
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import LiveSource
-from taxeld_hil.rig.adapters import KINDS, Adapter
+from taxeld_hil.rig.adapters import Adapter
 from taxeld_hil.rig.ports import SlcanPort
 from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.slcan import BITRATES
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
+from tests.rig.adapters import KINDS
 from tests.rig.clocks import until
 from tests.rig.far_end import FarEnd, LateAdapter
 from tests.rig.sessions import items_of

@@ -5,8 +5,8 @@ import time
 import tty
 from contextlib import suppress
 
-from taxeld_hil.rig.adapters import Adapter
 from taxeld_protocol.slcan import split
+from tests.rig.adapters import KINDS
 
 
 class FarEnd:
@@ -42,7 +42,7 @@ class LateAdapter(FarEnd):
         """`mute`: a line that it does not answer."""
         super().__init__()
         self._late_s, self._mute = late_s, mute
-        self.adapter, self._rest = Adapter("lawicel"), b""
+        self.adapter, self._rest = KINDS["lawicel"](), b""
         self._answers: list[tuple[float, bytes]] = []
 
     def serve(self, now_s: float) -> None:

@@ -10,6 +10,7 @@ from taxeld_protocol.cyskin import ALL_MODULES, BROADCAST, Command, Packet
 from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
+from tests.rig.adapters import KINDS
 
 Counts = Sequence[int | None]
 
@@ -49,7 +50,9 @@ class VirtualHub:
         phase = Phase.MODULES if native else Phase.BOOTLOADER  # that link is the application's
         self.ihb = VirtualIhb(modules, short_id=short_id, phase=phase)
         self.requests: list[Frame] = []  # of the host, on the bus behind an SLCAN adapter
-        self.port = NativePort(link) if native else SlcanPort(link, self.requests.append, adapter)
+        self.port = (
+            NativePort(link) if native else SlcanPort(link, self.requests.append, KINDS[adapter])
+        )
         self.native = native
         self.device = str(link)
         self.scans = 0  # that were sent,

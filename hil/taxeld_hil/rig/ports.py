@@ -153,9 +153,8 @@ class Terminal(Port):
 class SlcanPort(Terminal):
     """A USB-CAN adapter with the hub on its bus."""
 
-    def __init__(self, link: Path, on_frame: OnFrame, kind: str = "plain") -> None:
-        """`kind`: of `adapters.KINDS`."""
-        self.adapter = Adapter(kind)
+    def __init__(self, link: Path, on_frame: OnFrame, kind: Callable[[], Adapter] = Adapter):
+        self.adapter = kind()
         self._rest, self._has_host = b"", False
         self._requests, self._on_frame = HubLink(), on_frame
         super().__init__(link)
