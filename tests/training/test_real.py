@@ -10,7 +10,7 @@ import pytest
 from taxeld.api import Replay
 from taxeld.source import session
 from taxeld_training.cli import main
-from taxeld_training.trials import real
+from taxeld_training.trials import real, real_picture
 from taxeld_training.trials.real import Arm
 from tests.rig import real_skin, recorded_session
 from tests.rig.commands import refused
@@ -50,7 +50,7 @@ def test_a_trial_has_upright_touches_of_half_b_each_of_another_pose(arm: Arm) ->
 
 
 def test_a_part_is_found_and_no_estimate_misleads(arm: Arm) -> None:
-    trials = [real.play(arm, PART, (PART,), 0.2, "2 cm", 8, seed) for seed in range(3)]
+    trials = [real.play(arm, (PART, (PART,), 0.2, "2 cm", 8), seed) for seed in range(3)]
     last = [trial[-1] for trial in trials]
     assert np.median([touch.error_mm for touch in last]) < 20.0
     assert all(touch.error_mm <= touch.radius_mm for touch in last)
@@ -61,11 +61,22 @@ def test_the_question_is_answered_by_recordings(folder: Path, tmp_path: Path) ->
     where = ["--out", str(tmp_path), "--memory", str(tmp_path / "memory"), "--workers", "1"]
     asked = ["evaluate", "real", "--quick", "--seeds", "1", "--data", str(folder)]
     assert main([*asked, *where]) == 0
+    assert (tmp_path / "real-skin.png").exists()
     rows = json.loads((tmp_path / "real.json").read_text("utf-8"))["rows"]
     all_of = {tuple(row["of"].values()): row for row in rows if [*row["of"]] == KINDS}
     both, wrong = all_of["both", "known", "none"], all_of["one", "stranger", "none"]
     assert len(both["identity"]) == len(both["covered"]) == 12
     assert wrong["found"] == [0] * 12
+
+
+def test_the_picture_is_small_and_drawn_again_with_the_same_bytes(
+    folder: Path, tmp_path: Path
+) -> None:
+    first, again = tmp_path / "a.png", tmp_path / "b.png"
+    for path in (first, again):
+        real_picture.draw(folder, path)
+    assert 5_000 < first.stat().st_size < 300_000
+    assert first.read_bytes() == again.read_bytes()
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:

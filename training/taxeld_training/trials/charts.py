@@ -57,7 +57,7 @@ def front(rows: Sequence[Row], path: Path) -> None:
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.set_ylabel("touches until found and sure", fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _draw_filters(axes: Axes, rows: Sequence[Row]) -> None:
@@ -118,7 +118,7 @@ def where(rows: Sequence[Row], path: Path) -> None:
         axes.text(105, y, f"{wrong} of {sure}", va="center", fontsize=8, weight=weight)
     axes.text(105, -1.0, "misleading", va="bottom", fontsize=8)
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False)
-    _save(figure, path)
+    save(figure, path)
 
 
 CHARTS: dict[str, Callable[[Sequence[Row], Path], None]] = {"front": front, "map": where}
@@ -132,7 +132,7 @@ def _plain(axes: Axes, size: int) -> None:
     axes.set_axisbelow(True)
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
     """Write a picture with a palette of 256 colours, as many faint lines would compress badly."""
     written, meta = BytesIO(), dict[str, Any](Software=None)
     figure.savefig(written, dpi=DPI, format="png", metadata=meta)

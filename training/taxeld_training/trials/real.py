@@ -11,7 +11,7 @@ the part's upright, are taken to stand upright, and their heights are rounded to
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
@@ -233,10 +233,22 @@ def arms_of(folder: Path) -> dict[str, Arm]:
     return {name: Arm(parts) for name, parts in found.items()}
 
 
-def play(
-    arm: Arm, touched: str, known: Sequence[str], tilt: float, prior: str, touches: int, seed: int
-) -> list[Touch]:
+def play(arm: Arm, variant: Variant, seed: int) -> list[Touch]:
     """The estimate after each touch of a part; where half B has fewer poses the last one stands."""
+    touched, _, tilt, _, touches = variant
+    truth, _ = arm.recordings[touched].drawn(tilt, seed)
+    model, found = arm.known[touched].model, list[Touch]()
+    for estimator in followed(arm, variant, seed):
+        now = estimator.estimate
+        is_right = estimator.known[now.object].model is model
+        error_m = add_m(model.scene, now.map, truth)[1] if is_right else math.nan
+        found.append(touch_of(now, now.p, 1e3 * error_m))
+    return found + found[-1:] * (touches - len(found))
+
+
+def followed(arm: Arm, variant: Variant, seed: int) -> Iterator[Estimator]:
+    """The estimator of a trial after each touch."""
+    touched, known, tilt, prior, touches = variant
     recording = arm.recordings[touched]
     truth, at = recording.drawn(tilt, seed)
     at = at[:touches]
@@ -248,21 +260,16 @@ def play(
         x, y, theta = (truth + off).tolist()
         estimator.tell(PosePrior(x=x, y=y, theta=theta, cov=PRIOR))
     sensors, bands = se2.compose(truth, recording.sensors[at]), recording.band[at]
-    found = list[Touch]()
     for k, (on, sensor, band) in enumerate(zip(recording.on[at], sensors, bands, strict=True)):
         for s in PRESSED_S + RELEASED_S:
             estimator.on_scan(arm.activation(k + s, on & (s in PRESSED_S), band), sensor)
-        now = estimator.estimate
-        is_right = estimator.known[now.object].model is arm.known[touched].model
-        error_m = add_m(arm.known[touched].model.scene, now.map, truth)[1] if is_right else math.nan
-        found.append(touch_of(now, now.p, 1e3 * error_m))
-    return found + found[-1:] * (touches - len(found))
+        yield estimator
 
 
 def trials(folder: str, arm: str, variant: Variant, seeds: Sequence[int]) -> list[Any]:
     """A job: of each seed the fields of each touch."""
     one = arms_of(Path(folder))[arm]
-    return [[without_nan([*touch]) for touch in play(one, *variant, seed)] for seed in seeds]
+    return [[without_nan([*touch]) for touch in play(one, variant, seed)] for seed in seeds]
 
 
 def run(

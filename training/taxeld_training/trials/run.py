@@ -63,9 +63,10 @@ def answer(names: Sequence[str], asked: Selection, workers: Workers, out: Path) 
         yield str(data)
         yield str(_records(played, workers.memory / f"{question.name}.jsonl"))
         for name in question.charts:
-            from taxeld_training.trials import charts  # noqa: PLC0415  (needs matplotlib)
+            from taxeld_training.trials import charts, real_picture  # noqa: PLC0415  (matplotlib)
 
-            charts.CHARTS[name](rows, out / f"{name}.png")
+            draw: Any = real_picture.draw if question.tilts else charts.CHARTS[name]
+            draw(asked.data if question.tilts else rows, out / f"{name}.png")
             yield str(out / f"{name}.png")
 
 
