@@ -1,26 +1,24 @@
-"""A virtual skin for the acceptance's tests: on a pseudo-terminal, on a clock of its own.
-
-The clock is what the code under test sleeps on; a sleep serves the hub, and waits until the kernel
-has its bytes on the other side. So seconds of scans take little time, on a busy machine as well.
-"""
+"""A virtual skin for the acceptance's tests: in memory, on the clock that it sleeps on."""
 
 import io
 import re
-import select
-import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from taxeld.arrays import Floats
+from taxeld.source.device import Device
+from taxeld_protocol import serial_link
+from taxeld_protocol.cyskin import Packet
+from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module, wired
-from tests.rig.virtual_hub import VirtualHub
+from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
+from tests.rig.virtual_hub import frames_of
 
 LAYOUT = "cylinder:rows=2,columns=20,radius_m=0.06,pitch_m=0.015"  # four modules of ten taxels
 MODULES = tuple(wired([i // 10 + 1 << 4 | i % 10 + 1 for i in range(40)]))
 LEVEL, T0, NOISE = 10_000.0, 12_000.0, 34.0
 PRESS_COUNTS = 9_000.0
-WAIT_S = 5.0
 SLOW = 10.0  # times the sleep that was asked for, as on a busy machine
 PROMPT = re.compile(r"^\d+/\d+ press module (\d+) ")
 
@@ -28,9 +26,8 @@ PROMPT = re.compile(r"^\d+/\d+ press module (\d+) ")
 class SleepClock:
     """Stands in for the module `time` where the code under test looks at it."""
 
-    def __init__(self) -> None:
-        self.now = 1_000_000.0
-        self.on_sleep: Callable[[], None] = lambda: None
+    def __init__(self, now: float = 1_000_000.0) -> None:
+        self.now = now
 
     def time(self) -> float:
         return self.now
@@ -39,7 +36,6 @@ class SleepClock:
 
     def sleep(self, seconds: float) -> None:
         self.now += SLOW * seconds
-        self.on_sleep()
 
     def strftime(self, form: str) -> str:  # noqa: ARG002
         return "2026-01-01 00:00:00"
@@ -71,28 +67,33 @@ class Counts:
         return values
 
 
-class VirtualSkin:
-    """A hub and what it reads, served while the clock's owner sleeps."""
+class VirtualSkin(Device):
+    """A hub in memory and what it reads, as the device that the source opens."""
 
-    def __init__(self, hub: VirtualHub, counts: Counts, clock: SleepClock) -> None:
-        self.hub, self.counts = hub, counts
+    def __init__(self, hub: VirtualIhb, counts: Counts, clock: SleepClock, *, native: bool) -> None:
+        super().__init__()
+        self.hub, self.counts, self.native = hub, counts, native
         self.wired_as: dict[int, int] = {}  # module that is asked for → that lies there
-        self._clock = clock
         self.operator = self.on_text  # reads what is printed
-        self._release_s = np.inf
-        clock.on_sleep = self.serve
+        self._clock, self._release_s = clock, np.inf
+        self._waiting: list[Answer] = []
 
-    def serve(self) -> None:
-        hub, now = self.hub, self._clock.now
-        if not hub.ihb.auto_sync:  # requests are under way: real time, a little
-            select.select([hub.port], [], [], 0.001)
-        hub.answer(now)
+    def read(self) -> list[Frame | Chunk]:
+        now, ihb = self._clock.now, self.hub.short_id
         if now >= self._release_s:
             self.counts.pressed = None
-        if hub.ihb.due(now):
-            before = hub.written
-            hub.scan(self.counts.scan())
-            self._wait_for_kernel(hub.written - before)
+        if self.hub.due(now):
+            self._waiting += self.hub.sensor_data(self.counts.scan())
+        answers, self._waiting = self._waiting, []
+        if self.native:
+            return [Chunk(now, serial_link.encode(*answer, ihb=ihb)) for answer in answers]
+        return [*frames_of(answers, ihb, now)]
+
+    def send(self, to: int, command: int, payload: bytes) -> None:
+        self._waiting += self.hub.answer(Packet(self._clock.now, to, command, payload))
+
+    def close(self, wait_s: float = 0.0) -> None:
+        """Nothing is held open."""
 
     def on_text(self, text: str) -> None:
         """The operator, who presses what is asked for: from what is printed."""
@@ -100,19 +101,6 @@ class VirtualSkin:
             asked = int(prompt[1])
             self.counts.pressed = self.wired_as.get(asked, asked)
             self._release_s = self._clock.now + 0.4
-
-    def was_stopped(self) -> bool:
-        """Whether the last thing that the host asked for was that the scans stop."""
-        hub = self.hub
-        while hub.ihb.auto_sync and select.select([hub.port], [], [], WAIT_S)[0]:
-            hub.answer(self._clock.now)
-        return not hub.ihb.auto_sync
-
-    def _wait_for_kernel(self, written: int) -> None:
-        """Until a scan's last byte is on the reader's side of the pseudo-terminal."""
-        deadline = time.monotonic() + WAIT_S
-        while self.hub.port.waiting() < written and time.monotonic() < deadline:
-            time.sleep(2e-5)
 
 
 class Operator(io.StringIO):

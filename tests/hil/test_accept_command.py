@@ -1,4 +1,4 @@
-"""`taxeld-hil accept` as a whole, on virtual skins behind real pseudo-terminals."""
+"""`taxeld-hil accept` as a whole, on virtual skins."""
 
 import json
 import sys
@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import pytest
 
 from taxeld_hil import cli
+from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 from tests.rig.array_skin import LAYOUT as ARRAY
 from tests.rig.array_skin import ArraySkin
-from tests.rig.virtual_hub import StuckHub, VirtualHub
+from tests.rig.virtual_hub import StuckHub
 
 from .accept_skin import LAYOUT, MODULES, Counts, Operator, SleepClock, VirtualSkin
 
@@ -44,27 +45,31 @@ Accept = Callable[..., Ran]
 
 @pytest.fixture
 def accept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Accept:
-    """The command, on a skin that is healthy until `prepare` has seen it. Everything that looks at
-    a clock between device and report looks at the skin's."""
+    """The command, on a skin that is healthy until `prepare` has seen it."""
     clock, out = SleepClock(), tmp_path / "report"
-    for module in ("acceptance.accept", "acceptance.received"):
-        monkeypatch.setattr(f"taxeld_hil.{module}.time", clock)
-    monkeypatch.setattr("taxeld.source.lines.time", clock)
+    for module in ("accept", "received"):
+        monkeypatch.setattr(f"taxeld_hil.acceptance.{module}.time", clock)
 
     def run(
-        *more: str, prepare: Prepare = bool, found: Sequence[Any] = MODULES, **options: Any
+        *more: str,
+        prepare: Prepare = bool,
+        found: Sequence[Any] = MODULES,
+        native: bool = False,
+        short_id: int = 1,
+        kind: type[VirtualIhb] = VirtualIhb,
     ) -> Ran:
-        with VirtualHub(tmp_path / "device", found, **options) as hub:
-            skin = VirtualSkin(hub, Counts(found), clock)
-            prepare(skin)
-            operator = Operator(skin.operator)
-            kind = "serial" if hub.native else "slcan"
-            target = f"{kind}:{Path(hub.device).readlink()}"  # a short name, for the page
-            line = ["accept", target, "--layout", LAYOUT, "--out", str(out), "--seconds", "5"]
-            with monkeypatch.context() as patch:
-                patch.setattr(sys, "stdout", operator)
-                code = cli.main([*line, *more])
-            return Ran(code, out, operator.getvalue(), skin.was_stopped())
+        phase = Phase.MODULES if native else Phase.BOOTLOADER
+        hub = kind(found, short_id=short_id, phase=phase)
+        skin = VirtualSkin(hub, Counts(found), clock, native=native)
+        prepare(skin)
+        operator = Operator(skin.operator)
+        target = "serial:device" if native else "slcan:device"
+        line = ["accept", target, "--layout", LAYOUT, "--out", str(out), "--seconds", "5"]
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stdout", operator)
+            patch.setattr("taxeld.source.opening.open_device", lambda _: skin)
+            code = cli.main([*line, *more])
+        return Ran(code, out, operator.getvalue(), not hub.auto_sync)
 
     return run
 
@@ -128,8 +133,7 @@ FAULTS: list[tuple[str, str, dict[str, Any]]] = [
     ("press answers", "2 of 4 modules answered", {"prepare": left}),
     ("modules with other taxels", "is grouped (grouping 1)",
      {"found": [replace(FIRST, grouping=1), *REST]}),
-    ("discovery hubs", "bootloader",
-     {"prepare": lambda skin: setattr(skin.hub, "ihb", StuckHub(MODULES))}),
+    ("discovery hubs", "bootloader", {"kind": StuckHub}),
 ]  # fmt: skip
 
 

@@ -2,36 +2,38 @@
 
 import json
 import re
-import threading
-import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
 
-import msgpack
 import numpy as np
 import pytest
-import zmq
 
 from taxeld.cli import main
+from taxeld.commands import record
+from taxeld.commands.replay import RecordedSource
 from taxeld.config.file import load
-from taxeld.config.tables import SceneConfig, SkinConfig
+from taxeld.config.tables import Config, SceneConfig, SkinConfig
 from taxeld.errors import SetupError
-from taxeld.model import se2
 from taxeld.service import calibration_file
 from taxeld.skin.calibration import Calibration
-from taxeld.stream import topics
-from taxeld_hil.calibration import calibrate, check
+from taxeld.source import session
+from taxeld_hil.calibration import check, command
 from taxeld_hil.calibration.command import Guided
 from taxeld_hil.cli import main as hil
-from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
+from taxeld_protocol.decoder import Scan
+from taxeld_protocol.frames import Frame
+from tests.hil.accept_skin import SleepClock
+from tests.hil.rig import MODEL, PLACED, SKIN, PressedSkin, write_session
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
-from tests.rig.virtual_hub import VirtualHub
 
 pytestmark = pytest.mark.check
 
 OBJECT = [f"{value!r}" for value in PLACED.tolist()]
-DEADLINE_S = 120.0
 
 
 def read(path: Path) -> Calibration:
@@ -55,99 +57,87 @@ def test_a_session_becomes_a_file_that_serves_its_replay_and_a_text(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     skin = replace(PressedSkin.drawn(MODEL, 11), mount=np.array([0.004, -0.003, 0.05]))
-    session, out = tmp_path / "session", tmp_path / "made" / "skin.toml"
-    write_session(session, skin, idle_s=25.0, frozen=(13,))
+    place, out = tmp_path / "session", tmp_path / "made" / "skin.toml"
+    write_session(place, skin, idle_s=25.0, frozen=(13,))
 
     def off_mm() -> float:
         capsys.readouterr()
-        last = json.loads(printed("replay", session).splitlines()[-1])["map"]
+        last = json.loads(printed("replay", place).splitlines()[-1])["map"]
         return 1e3 * float(np.hypot(last["x"] - PLACED[0], last["y"] - PLACED[1]))
 
     without = off_mm()
-    assert main(["calibrate", str(session), "--out", str(out), "--object", *OBJECT]) == 0
+    assert main(["calibrate", str(place), "--out", str(out), "--object", *OBJECT]) == 0
     assert out.with_suffix(".txt").read_text(encoding="utf-8") in capsys.readouterr().out
     found = read(out)
     assert_right(found, skin)
     assert found.presses == 20
     assert np.flatnonzero(found.frozen).tolist() == [13]
     assert np.median(found.noise_counts) == pytest.approx(20.0, rel=0.15)
-    with (session / "config.toml").open("a", encoding="utf-8") as config:
+    with (place / "config.toml").open("a", encoding="utf-8") as config:
         config.write('[skin]\ncalibration = "../made/skin.toml"\n')
     assert off_mm() < 0.5 * without
 
 
 def test_a_session_without_a_robot_or_without_rest_is_refused(tmp_path: Path) -> None:
     skin = PressedSkin.drawn(MODEL, 11)
-    session, out = tmp_path / "session", ["--out", tmp_path / "c.toml"]
-    write_session(session, replace(skin, sensor=skin.sensor[:2]), idle_s=4.0)
-    says = refused("calibrate", session, *out)
+    place, out = tmp_path / "session", ["--out", tmp_path / "c.toml"]
+    write_session(place, replace(skin, sensor=skin.sensor[:2]), idle_s=4.0)
+    says = refused("calibrate", place, *out)
     assert re.search("seconds untouched at first: [34]; it takes at least 10; touch nothing", says)
-    (session / "sensor_pose.csv").unlink()
-    says = refused("calibrate", session, *out)
+    (place / "sensor_pose.csv").unlink()
+    says = refused("calibrate", place, *out)
     assert "sensor_pose.csv: is missing; a calibration needs" in says
     assert not out[1].exists()
 
 
+class PlayedInputs:
+    """Inputs to which a recorded session comes, a record a look; the clock goes along."""
+
+    def __init__(
+        self, place: Path, clock: SleepClock, config: Config, skins: Any, link: Any, recorder: Any
+    ) -> None:
+        self.sources = [SimpleNamespace(decoder=None)]
+        self._clock, self._link, self._recorder = clock, link, recorder
+        self._records = session.records(place)
+        self._source = RecordedSource(place, config.source, {0: skins[0]}, alone=True)
+
+    def poll(self, _: float) -> list[Scan]:
+        record = next(self._records)
+        self._clock.now = record.t
+        if isinstance(record.item, Frame):
+            self._recorder.take(record.item)
+            return self._source.take(record)
+        self._link._on_pose(*record.item, 0)
+        return []
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
 def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(calibrate, "LEAST_IDLE_S", 1.0)
-    skin = PressedSkin.drawn(MODEL, 4, presses=18)
-    uids = [uid for module in MODULES for uid in module.uids]
-    index = {int(uid): i for i, uid in enumerate(SKIN.uid)}
-    taxel = np.array([index.get(uid, -1) for uid in uids])
-    said: list[str] = []
-    with VirtualHub(tmp_path / "skin", MODULES) as hub, zmq.Context() as context:
-        robot = context.socket(zmq.PUB)
-        robot.bind(f"ipc://{tmp_path}/poses")
-        few = {"proposal": "manifold", "particles": 40, "particles_max": 40, "injected": 10}
-        config = configuration(
-            tmp_path,
-            source=hub.source | {"period_ms": 20},
-            filter=few,
-            sensor_pose={"endpoint": f"ipc://{tmp_path}/poses"},
-        )
-        out = tmp_path / "skin.toml"
-        asking = Guided(load(config), config, out, 1.5, 16, said.append)
-        ended: list[bool] = []
-        worker = threading.Thread(target=lambda: ended.append(asking.run()))
-        worker.start()
-        away, rng = np.array([0.6, 0.6, 0.0]), np.random.default_rng(0)
-        moves = [pose for told in skin.told for pose in (told, away)]
-        at, next_s, next_pose_s = away, np.inf, 0.0
-        begun_s = time.monotonic()
-        while worker.is_alive() and time.monotonic() < begun_s + DEADLINE_S:
-            now_s = time.monotonic()
-            if next_s == np.inf and any(line.startswith("2. press") for line in said):
-                next_s = now_s
-            if now_s >= next_s and moves:
-                pressing = len(moves) % 2 == 0
-                at, next_s = moves.pop(0), now_s + (0.5 if pressing else 0.25)
-            if now_s >= next_pose_s:
-                next_pose_s = now_s + 0.01
-                x, y, theta = at.tolist()
-                pose = {"t": time.time(), "x": x, "y": y, "theta": theta}
-                robot.send_multipart([topics.SENSOR_POSE, msgpack.packb(pose), b"0"])
-
-            def counts(_: int, at: np.ndarray = at) -> list[int]:
-                pressed = skin.counts(se2.compose(at, skin.mount)[None])[0]
-                noisy = BASE + pressed + skin.noise * rng.standard_normal(len(pressed))
-                return np.round(np.where(taxel >= 0, noisy[taxel], 12_000.0)).astype(int).tolist()
-
-            hub.serve(now_s, counts)
-            time.sleep(0.001)
-        asking.stop()
-        worker.join(DEADLINE_S)
-        robot.close(0)
-    assert ended == [True], "\n".join(said)
-    assert said[0].startswith("1. touch nothing for 2 s")
+    skin, clock = PressedSkin.drawn(MODEL, 4, presses=18), SleepClock(100.0)
+    write_session(tmp_path / "pressed", skin)  # from 100 s on
+    monkeypatch.setattr(command, "IDLE_S", 10.0)
+    monkeypatch.setattr(command, "PRESSES", 16)
+    monkeypatch.setattr(command, "signal", MagicMock())
+    monkeypatch.setattr(command, "time", clock)
+    monkeypatch.setattr(record, "time", clock)
+    monkeypatch.setattr(record, "Inputs", partial(PlayedInputs, tmp_path / "pressed", clock))
+    few = {"proposal": "manifold", "particles": 40, "particles_max": 40, "injected": 10}
+    config = configuration(tmp_path, filter=few, sensor_pose={"endpoint": "ipc:///nowhere"})
+    out = tmp_path / "skin.toml"
+    line = ["calibrate", str(config), "--out", str(out), "--object", *OBJECT]
+    assert main(line) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("1. touch nothing for 10 s")
+    assert any(line.startswith("2. press the object 16 times") for line in said)
     assert any(line.startswith("   16 of 16; next with the skin's side at ") for line in said)
+    assert_right(read(out), skin)
     # another attempt has a session of its own
     place = Guided(load(config), config, out, 1.5, 16, said.append).directory
-    assert place != asking.directory
-    result = calibrate.of_session(asking.directory, load(config), PLACED)
-    assert abs(result.calibration.t - time.time()) < 3600.0
-    assert_right(result.calibration, skin)
+    assert (place.name, (tmp_path / "skin.session").is_dir()) == ("skin.session-2", True)
 
 
 RECORDED = Path(__file__).parents[1] / "daemon" / "session"
@@ -157,15 +147,15 @@ def test_twelve_touches_doubt_most_wrong_full_scales_and_no_right_one(tmp_path: 
     wrong, twelve = 0, tmp_path / "twelve.toml"
     twelve.write_text('bundle = "box"\ncontacts = 12\n', encoding="utf-8")
     for seed in range(4):
-        session = tmp_path / str(seed)
+        place = tmp_path / str(seed)
         line = ["run", str(twelve), "--clock", "fake", "--seed", str(seed)]
-        assert hil([*line, "--out", str(session)]) == 0
-        assert main(["calibrate", str(session), "--check"]) == 0
-        config = session / "config.toml"
+        assert hil([*line, "--out", str(place)]) == 0
+        assert main(["calibrate", str(place), "--check"]) == 0
+        config = place / "config.toml"
         text = config.read_text(encoding="utf-8")
         config.write_text(text.replace("counts = 20000.0", "counts = 50000.0"), encoding="utf-8")
         # 2: it may leave no pose to judge by
-        wrong += main(["calibrate", str(session), "--check"]) == 1
+        wrong += main(["calibrate", str(place), "--check"]) == 1
     assert wrong > 2
 
 
