@@ -35,12 +35,7 @@ def _run(args: argparse.Namespace) -> int:
         log.set_level(config.log.level)
         recorder = recorder_of(config, args.config, args.record) if args.record else None
         daemon = Daemon(config, recorder)
-        stopped = command_line.stopping()
-
-        def between() -> None:
-            daemon.stopping = stopped()
-
-        daemon.run(between)
+        daemon.run(command_line.stopping())
     return 0
 
 
@@ -52,12 +47,7 @@ def _record(args: argparse.Namespace) -> int:
     from taxeld.commands.record import Recording
 
     recording = Recording(load(args.config), args.config, args.out)
-    stopped = command_line.stopping()
-
-    def between(*_: object) -> None:
-        recording.stopping = stopped()
-
-    print(recording.run(between))
+    print(recording.run(command_line.stopping()))
     return FAILED if recording.failed else 0
 
 

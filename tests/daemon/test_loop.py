@@ -253,14 +253,11 @@ def test_what_the_interpreter_leaves_behind_is_collected_once_a_minute(
         clock.now = max(until_s, clock.now + 0.5)
         return Ready()
 
-    def between() -> None:
-        daemon.stopping = clock.now > began_s + 150.0
-
     monkeypatch.setattr(time, "monotonic", clock)
     monkeypatch.setattr(loop, "wait", wait)
     monkeypatch.setattr(loop, "Ticker", partial(Ticker, clock=clock))
     monkeypatch.setattr(loop.gc, "collect", lambda: collected.append(clock.now - began_s))
-    daemon._loop(Notifier({}), between)
+    daemon._loop(Notifier({}), lambda: clock.now > began_s + 150.0)
     assert collected == pytest.approx([0.0, 60.0, 120.0], abs=2.0)
 
 
@@ -348,11 +345,11 @@ def test_a_skin_that_starts_with_the_vendors_pauses_is_not_warned_of(
 ) -> None:
     daemon = daemon_of(tmp_path)
 
-    def between() -> None:
+    def ends() -> bool:
         hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
-        daemon.stopping = hub.scans > 20
+        return hub.scans > 20
 
-    daemon.run(between)
+    daemon.run(ends)
     assert [line for line in caplog.messages if line.startswith("status: ")] == []
 
 
@@ -361,7 +358,8 @@ def test_a_scan_is_estimated_when_it_comes_however_slow_the_ticks_are(
 ) -> None:
     """At one tick a second, each of a hundred scans a second has an estimate of its own."""
     daemon = daemon_of(tmp_path, loop={"rate_hz": 1.0})
-    runs = threading.Thread(target=daemon.run)
+    stopped = threading.Event()
+    runs = threading.Thread(target=daemon.run, args=[stopped.is_set])
     heard: list[dict[str, Any]] = []
     with Sockets() as sockets:
         socket = sockets.subscriber(f"ipc://{tmp_path}/stream", topics.ESTIMATE)
@@ -376,7 +374,7 @@ def test_a_scan_is_estimated_when_it_comes_however_slow_the_ticks_are(
         try:
             until(lambda: len(heard) >= 60, listen)
         finally:
-            daemon.stopping = True
+            stopped.set()
             runs.join(PATIENCE_S)
     assert not runs.is_alive()
     # on a busy machine two scans are read at once, or one is late and an estimate comes without it

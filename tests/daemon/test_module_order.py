@@ -234,11 +234,11 @@ def recorded(place: Path, hub: VirtualHub, **source: Any) -> tuple[str, Recordin
     file = configuration(place, source=hub.source | source)
     recording, polls = Recording(load(file), file, place / "session"), itertools.count()
 
-    def serve(*_: object) -> None:
+    def ends() -> bool:
         hub.serve(time.monotonic(), lambda _: UIDS)
-        recording.stopping = hub.ihb.phase == Phase.RUNNING and next(polls) > 500
+        return hub.ihb.phase == Phase.RUNNING and next(polls) > 500
 
-    return recording.run(serve), recording
+    return recording.run(ends), recording
 
 
 def test_a_recording_lists_the_modules_for_a_listener_or_says_why_it_does_not(

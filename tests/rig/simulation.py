@@ -101,7 +101,7 @@ class Run:
         try:
             daemon.clock = WallClock(world.unix, lambda: world.now)
             self._listen_to(daemon)
-            daemon._loop(Notifier({}), lambda: self._between(daemon))
+            daemon._loop(Notifier({}), lambda: world.t >= world.end_s + REST_S)
             self._judge_end(daemon)
             daemon.link.detach()
             world.advance(world.now + 0.2)  # the door reads what is left, and ends
@@ -109,9 +109,6 @@ class Run:
             daemon.close()
         got = [packet for door in world.doors for packet in door.got]
         self._law(got == self.taken, "doors got other packets than the pair took")
-
-    def _between(self, daemon: Daemon) -> None:
-        daemon.stopping = self.world.t >= self.world.end_s + REST_S
 
     @contextlib.contextmanager
     def _patched(self) -> Iterator[None]:

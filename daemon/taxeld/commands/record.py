@@ -40,7 +40,6 @@ class Recording:
     def __init__(self, config: Config, config_path: Path, directory: Path) -> None:
         """Raises SetupError under the conditions of `recorder_of`."""
         self.config = config
-        self.stopping = False
         self.scans = 0
         self._directory = directory
         self._recorder = recorder_of(config, config_path, directory)
@@ -50,9 +49,9 @@ class Recording:
         """Whether the disk took no more; the log has the reason."""
         return self._recorder.counters.failed
 
-    def run(self, on_poll: OnPoll | None = None) -> str:
-        """Record until `stopping`, or until the disk is full; → one line on the recording, and on
-        the file that lists the modules. `on_poll` is given the scans of each poll and the sensor's
+    def run(self, ends: Callable[[], bool], on_poll: OnPoll = lambda *_: None) -> str:
+        """Record until `ends`, or until the disk is full; → one line on the recording, and on the
+        file that lists the modules. `on_poll` is given the scans of each poll and the sensor's
         poses.
 
         Raises:
@@ -63,11 +62,10 @@ class Recording:
         link = Link({}, lambda *pose: tracks[pose[4]].add(*pose[:4], time.time()), {})
         skins = [layouts.load(one.skin.layout) for one in config.each]
         with recorder, closing(Inputs(config, skins, link, recorder)) as inputs:
-            while not self.stopping and not self.failed:
+            while not ends() and not self.failed:
                 scans = inputs.poll(time.monotonic())
                 self.scans += len(scans)
-                if on_poll is not None:
-                    on_poll([scan for scan in scans if not scan.link], tracks[0])
+                on_poll([scan for scan in scans if not scan.link], tracks[0])
                 time.sleep(POLL_S)
         return self._summary() + self._listed(inputs.sources[0])
 

@@ -50,7 +50,6 @@ class Daemon:
         Raises:
             SetupError: a part of it cannot be used.
         """
-        self.stopping = False
         with contextlib.ExitStack() as opened:
             # the door's process starts while the slow parts here load
             door = Doorkeeper(settings_of(config))
@@ -82,8 +81,8 @@ class Daemon:
         named = dict(zip(self.config.names, self.layouts, strict=True)) if several_links else {}
         return messages.info(self.layouts[0], self._objects, digest(self.config), named)
 
-    def run(self, between: Callable[[], None] = lambda: None) -> None:
-        """Run until `stopping`; `between` is called between two passes."""
+    def run(self, ends: Callable[[], bool]) -> None:
+        """Run until `ends`, which is asked before each pass."""
         notifier, pipeline = Notifier(), self.pipeline
         try:
             realtime.trim()
@@ -94,7 +93,7 @@ class Daemon:
             with realtime.thread(self.config.loop.priority) as self.realtime:
                 notifier.ready()
                 self.publisher.ready()
-                self._loop(notifier, between)
+                self._loop(notifier, ends)
         finally:
             notifier.stopping()
             self.close()
@@ -103,10 +102,10 @@ class Daemon:
         """Stop the skin and free everything that is open."""
         self._opened.close()
 
-    def _loop(self, notifier: Notifier, between: Callable[[], None]) -> None:
+    def _loop(self, notifier: Notifier, ends: Callable[[], bool]) -> None:
         ticker = Ticker(self.config.loop.rate_hz, self.publisher.estimate_s)
         next_collect_s, ready = 0.0, ALL
-        while not self.stopping:
+        while not ends():
             scans, now = self.take(ready), ticker.begin()
             self.counters.overruns = ticker.missed
             self.tick(now, scans, ready)
@@ -114,7 +113,6 @@ class Daemon:
             if now >= next_collect_s:  # 0.1 ms, as what was there at the start is left out
                 next_collect_s = now + COLLECT_S
                 gc.collect()
-            between()
             ready = self._wait(ticker)
 
     def _wait(self, ticker: Ticker) -> Ready:

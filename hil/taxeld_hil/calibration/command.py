@@ -117,17 +117,18 @@ class Guided:
         self._idle_s, self._wanted, self._say = idle_s, presses, say
         self._begun_s = self._next_look_s = time.monotonic()
         self._line = ""  # that was said last
+        self._ends = False
 
     def stop(self, *_: object) -> None:
         """End the recording; takes a signal's arguments."""
-        self._recording.stopping = True
+        self._ends = True
 
     def run(self) -> bool:
         """Record; → whether all presses are there."""
         self._say(
             f"1. touch nothing for {self._idle_s:.0f} s; the object is held fast, the sensor away"
         )
-        self._say(self._recording.run(self._on_poll))
+        self._say(self._recording.run(lambda: self._ends, self._on_poll))
         held = len(self._observer.found()[0])
         if held >= self._wanted:
             return True
@@ -175,7 +176,7 @@ class Guided:
                 f"2. press the object {wanted} times, 4 to 5 mm deep, each time still for a "
                 "second; go round it, and turn the sensor so that another side of the skin presses"
             )
-        self._recording.stopping |= len(presses) >= wanted
+        self._ends |= len(presses) >= wanted
         felt = np.bincount(sides(observer.model, presses), minlength=8)
         least = np.where(covered(observer.model), felt, len(presses) + 1).argmin()
         also = f" ({unheld} more were not held still)" if unheld else ""
