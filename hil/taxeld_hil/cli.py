@@ -47,22 +47,20 @@ def _run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from taxeld_hil.grade import grade
-    from taxeld_hil.run import live
     from taxeld_hil.run.fake import FakeRun
+    from taxeld_hil.run.live import LiveRun
 
     is_simulated = args.target == "sim"
     scenario = _scenario(args, args.foam, *args.layout or ())
     scenario = replace(scenario, advised=scenario.advised or args.advised)
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
-    run: live.LiveRun | FakeRun
-    if not is_simulated:
-        truth = None if args.truth is None else np.array(args.truth)
-        run = live.LiveRun(scenario, args.target, args.poses, truth, _say)
-    elif args.clock == "fake":
+    run: LiveRun | FakeRun
+    if is_simulated and args.clock == "fake":
         run = FakeRun(scenario, args.seed)
     else:
-        run = live.SimulatedRun(scenario, args.seed, _say)
+        truth = None if args.truth is None else np.array(args.truth)
+        run = LiveRun(scenario, args.seed, _say, args.target, args.poses, truth)
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
     graded = run.graded(name, out)
     _say("\n".join(grade.lines(graded)))

@@ -9,7 +9,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld_hil.run.fake import FakeRun
-from taxeld_hil.run.live import SimulatedRun
+from taxeld_hil.run.live import LiveRun
 from taxeld_hil.scenario import scenario
 from tests.hil.rig import passing
 from tests.rig.skins import table_of
@@ -56,4 +56,4 @@ def test_a_bundle_of_a_layout_file_asks_for_that_file(tmp_path: Path) -> None:
         FakeRun(demo, seed=0)
     passing(demo.on("", str(own)))
     with pytest.raises(SetupError, match=r"is for the layout own .*name that layout .*--layout"):
-        SimulatedRun(demo.on("", RING.replace("12", "16")), 0)
+        LiveRun(demo.on("", RING.replace("12", "16")), 0)

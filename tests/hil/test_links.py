@@ -12,7 +12,7 @@ from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld_hil.grade.session import POSE, read
 from taxeld_hil.run.fake import FakeRun
-from taxeld_hil.run.live import SimulatedRun
+from taxeld_hil.run.live import LiveRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault
 from taxeld_hil.world.world import world_of
@@ -91,4 +91,4 @@ def test_several_layouts_are_links_which_real_time_does_not_have() -> None:
     assert LINKS.on("", LINKS.layouts[1]).links == 1
     assert LINKS.on("", "").layouts == LINKS.layouts
     with pytest.raises(SetupError, match="several links run on the fake clock alone: --clock fake"):
-        SimulatedRun(LINKS, 0)
+        LiveRun(LINKS, 0)

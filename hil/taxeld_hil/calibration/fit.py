@@ -88,10 +88,8 @@ class FitResult:
     value: Unknowns
     sd: Unknowns  # `log_gain`: of gain and full scale together
     depth: Floats  # (K, M) shares of full depth
-    expected: Floats  # (K, M) counts
     silent: Bools  # (K, M) taxels that do not answer a firm press
     answers: Floats  # (M,) share of firm presses that each taxel answers, the mean of a beta
-    weight: Floats  # (K, M) of each reading: 0 if it was not used, less than 1 far from the fit
     cost: float  # the likeliest of several fits has the least
     left: float  # the cost of a reading, in the mean
 
@@ -155,8 +153,6 @@ class CalibrationFit:
         terms, missed = self._terms(u, held), np.count_nonzero(held.missed)
         silent = np.count_nonzero(held.silent)
         cost = (np.hypot(1.0, terms) - 1.0).sum() + MISSED_COST * missed + SILENT_COST * silent
-        weight = np.zeros_like(held.sd)
-        weight[held.used] = 1.0 / np.hypot(1.0, terms[: -len(u)])
         depth = depths(self._model, self._seen(x))
         firm = (depth > FIRM) & self._presses.live
         answered = firm & ~held.silent
@@ -165,10 +161,8 @@ class CalibrationFit:
             value=x,
             sd=Unknowns(*np.split(np.sqrt(np.maximum(variance, 0.0)), self._cuts)),
             depth=depth,
-            expected=_expected(x, depth),
             silent=held.silent,
             answers=(answered.sum(axis=0) + ALIKE * of_all) / (firm.sum(axis=0) + ALIKE),
-            weight=weight,
             cost=float(cost),
             left=float(cost / max(len(terms) - len(u) + missed + silent, 1)),
         )

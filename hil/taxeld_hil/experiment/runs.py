@@ -11,7 +11,7 @@ from taxeld.errors import SetupError
 from taxeld_hil.integrity import is_found
 from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.run.fake import FakeRun
-from taxeld_hil.run.live import SimulatedRun
+from taxeld_hil.run.live import LiveRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.trials.case import digest
@@ -66,7 +66,7 @@ def _about(subject: Scenario, seed: int) -> RunRow:
 
 def play(name: str, subject: Scenario, seed: int, real: bool) -> RunRow:
     """The figures of one run."""
-    run = SimulatedRun(subject, seed) if real else FakeRun(subject, seed, RATE_HZ)
+    run = LiveRun(subject, seed) if real else FakeRun(subject, seed, RATE_HZ)
     grade = run.graded(Path(name).stem)
     figures, error_mm = grade.figures, grade.figures["error_mm"]
     return {

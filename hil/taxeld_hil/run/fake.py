@@ -188,18 +188,11 @@ class FakeRun(SessionRun):
 
     clock = "fake"
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        seed: int,
-        rate_hz: float = 100.0,
-        filter_keys: str = "",
-    ) -> None:
-        """`rate_hz`: of the daemon's loop, and of all that steps with it; `filter_keys`: lines of
-        TOML for the daemon's table [filter].
+    def __init__(self, scenario: Scenario, seed: int, rate_hz: float = 100.0) -> None:
+        """`rate_hz`: of the daemon's loop, and of all that steps with it.
 
         Raises:
-            SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
+            SetupError: the scenario does not fit the skin.
         """
         self.scenario, self.seed = scenario, seed
         self.rigs = rigs_of(scenario, seed)
@@ -211,7 +204,7 @@ class FakeRun(SessionRun):
         self.lines = [MemoryLine(*on) for on in ([self.rigs] if scenario.one_bus else apart)]
         self.line = self.lines[0]
         devices = str(NOWHERE / "skin"), f"ipc://{NOWHERE}/poses", NOWHERE
-        self._text = settings.text(scenario, seed, *devices, filter_keys)
+        self._text = settings.text(scenario, seed, *devices)
         parsed = config_file.parse(self._text)
         self.config = replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))
         where = [rig.scenario.skin_layout for rig in self.rigs]

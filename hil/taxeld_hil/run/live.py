@@ -43,7 +43,7 @@ NOT_INJECTED = {  # transport → kinds of faults
     "array": OF_FRAMES,
 }
 TARGETS = {"can": "can", "serial": "native", "slcan": "slcan"}  # the target's kind → transport
-ON_HARDWARE = ("daemon_killed",)  # kinds of faults that are possible there
+ON_HARDWARE = "daemon_killed"  # the one kind of fault that is possible there
 HEADER = (
     "contact  taxels  modes       p  radius [mm]  likeliest x, y, yaw [mm, mm, deg]  error [mm]"
 )
@@ -83,21 +83,18 @@ class LiveDaemon(ExitStack):
             yield topic, body
             wait_ms = 0
 
-    def act(self, *, is_dead: bool) -> str:
-        """Kill the daemon or start it; → which of it was done, if any.
+    def act(self, *, is_dead: bool) -> bool:
+        """Kill the daemon or start it; → whether that was to be done.
 
         Raises:
             SetupError: the daemon has ended by itself; its own message says why.
         """
         if self._process is not None and (status := self._process.poll()) is not None:
             raise SetupError(f"the daemon ended early, with status {status}")
-        if is_dead and self._process is not None:
-            self._kill()
-            return "daemon killed"
-        if not is_dead and self._process is None:
-            self._start()
-            return "daemon started"
-        return ""
+        if is_dead == (self._process is None):
+            return False
+        (self._kill if is_dead else self._start)()
+        return True
 
     def stop(self) -> None:
         """Raises SetupError where the daemon does not stop as asked."""
@@ -123,31 +120,43 @@ class LiveDaemon(ExitStack):
 
 
 class LiveRun(SessionRun):
-    """A run in real time. The operator's robot moves and touches, and the daemon listens to the
-    device. Nothing is injected into a real skin; the daemon can be killed."""
+    """A run in real time. A virtual skin and robot feed the daemon over a transport; or the
+    operator's robot moves and touches, and the daemon listens to the device. Nothing is injected
+    into a real skin; the daemon can be killed."""
 
-    clock, log_level = "real", "warning"
-    not_injected = tuple(kind for kind in KINDS if kind not in ON_HARDWARE)
+    clock = "real"
 
     def __init__(
-        self, scenario: Scenario, target: str, poses: str, truth: Poses | None, say: Say
+        self,
+        scenario: Scenario,
+        seed: int,
+        say: Say = lambda _: None,
+        target: str = "sim",
+        poses: str = "",
+        truth: Poses | None = None,
     ) -> None:
-        """`target`: can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0; `poses`: the robot's
-        endpoint, empty: the sensor stands still; `truth` (3,) of the object in its world; `say`
-        prints lines as the run goes on.
+        """`say` prints lines as the run goes on; `target`: sim, can:can0, serial:/dev/ttyACM0 or
+        slcan:/dev/ttyACM0. Of a real skin `poses` is the robot's endpoint, empty: the sensor stands
+        still, and `truth` (3,) is of the object in the robot's world.
 
         Raises:
-            SetupError: the target is malformed, the scenario needs the fake clock, or the daemon
-                would refuse a bundle on this layout.
+            SetupError: the target is malformed, the scenario needs the fake clock or does not fit
+                the skin, or the daemon would refuse a bundle on this layout.
         """
         kind, _, self._channel = target.partition(":")
-        if kind in TARGETS and self._channel:
-            scenario = scenario.over(TARGETS[kind])
-        elif target != "sim":
+        self.seed, self.target, self._poses, self._say = seed, target, poses, say
+        self._bench: Bench | None = None
+        if target == "sim":
+            self.rigs = [Rig(scenario.in_real_time(), seed)]
+            self.not_injected = NOT_INJECTED.get(scenario.transport, ())
+            truth = self.rigs[0].world.truth
+        elif kind in TARGETS and self._channel:
+            scenario = scenario.over(TARGETS[kind]).in_real_time()
+            self.not_injected = tuple(kind for kind in KINDS if kind != ON_HARDWARE)
+        else:
             named = ", ".join(f"{name}:DEVICE" for name in TARGETS)
             raise SetupError(f"--target: '{target}' is none of sim, {named}")
-        self.scenario, self.target, self._poses = scenario.in_real_time(), target, poses
-        self.truth, self._say = truth, say
+        self.scenario, self.truth = scenario, truth
         self._start_s: float | None = None  # of scenario time
         self._health: dict[str, Any] = {}  # the last
         self._resident_mb = list[float]()  # with each message of health
@@ -161,57 +170,74 @@ class LiveRun(SessionRun):
     @property
     def t(self) -> float:
         """Scenario time."""
+        if self._bench is not None:
+            return self._bench.t
         return BEFORE_S if self._start_s is None else time.monotonic() - self._start_s
 
     def _config(self, place: Path) -> str:
+        level = "warning"
+        if self.rigs:
+            self._where = VCAN if self.scenario.transport == "can" else place / "skin"
+            self._channel, self._poses = str(self._where), f"ipc://{place}/poses"
+            level = "error"  # the daemon warns of injected faults, which are in the ledger
         text = settings.text(self.scenario, self.seed, self._channel, self._poses, place)
-        return f'{text}[log]\nlevel = "{self.log_level}"\n'
+        return f'{text}[log]\nlevel = "{level}"\n'
 
     def _play(self, directory: Path, place: Path) -> None:
-        times = self.scenario.contacts
-        self._say(f"touch the object {times} times, after a second of touching nothing")
-        self._follow(directory, place)
-
-    def _follow(self, directory: Path, place: Path) -> None:
         """Raises SetupError where a process fails or nothing starts."""
-        if self.truth is not None:
-            write_truth(directory, self.truth)
-        began = time.monotonic()
-        self._say(HEADER + "  object" * (len(self.scenario.known) > 1))
-        with LiveDaemon(directory / session.CONFIG, place) as self.daemon:
-            while not self._ends():
-                self._step()
-                self._on(self.daemon.act(is_dead=self._fails("daemon_killed")))
-                if self.t == BEFORE_S and time.monotonic() - began > START_S:
-                    cure = "'taxeld-hil accept' checks a skin"
-                    raise SetupError(f"{self.target}: no scan came within {START_S:g} s; {cure}")
-            self.end_s = self.t
-            self._settle()
-            self.daemon.stop()
+        with ExitStack() as opened:
+            if self.rigs:
+                recorder = opened.enter_context(Recorder(directory, moves=True))
+                self._bench = Bench(self.rigs[0], self._where, self._poses, recorder.take)
+                opened.enter_context(closing(self._bench))
+            else:
+                times = self.scenario.contacts
+                self._say(f"touch the object {times} times, after a second of touching nothing")
+            if self.truth is not None:
+                write_truth(directory, self.truth)
+            self._say(HEADER + "  object" * (len(self.scenario.known) > 1))
+            self.daemon = opened.enter_context(LiveDaemon(directory / session.CONFIG, place))
+            self._follow()
         if values := self._resident_mb:  # by the medians of the first and of the last third
             third = max(len(values) // 3, 1)
             self.growth_mb = round(median(values[-third:]) - median(values[:third]), 1)
 
-    def _ends(self) -> bool:
-        """Whether the time is up, or all contacts are made and the faults long over."""
-        wait_s = self.scenario.expect.recovery_s + SETTLE_S
-        ends = [fault.end_s for fault in self.scenario.fault if fault.kind in ON_HARDWARE]
+    def _follow(self) -> None:
+        began, bench = time.monotonic(), self._bench
+        killed = [fault for fault in self.scenario.fault if fault.kind == ON_HARDWARE]
+        while not self._ends(max((fault.end_s for fault in killed), default=0.0)):
+            self._step()
+            is_dead = any(fault.at_s <= self.t < fault.end_s for fault in killed)
+            if self.daemon.act(is_dead=is_dead) and bench is not None:
+                (bench.port.forget if is_dead else bench.rig.ledger.begin)()
+            if self.t == BEFORE_S and time.monotonic() - began > START_S:
+                cure = "'taxeld-hil accept' checks a skin"
+                raise SetupError(f"{self.target}: no scan came within {START_S:g} s; {cure}")
+        self.end_s = self.t
+        if bench is not None:
+            self._settle(bench)
+        self.daemon.stop()
+
+    def _ends(self, killed_s: float) -> bool:
+        """Whether the time is up, or all contacts are made and the last restart is long over."""
+        if self._bench is not None:
+            return self.t >= self._bench.rig.duration_s
         is_late = self.t > CONTACT_S * self.scenario.contacts
-        return is_late or (self._is_done and self.t > max(ends, default=0.0) + wait_s)
+        wait_s = self.scenario.expect.recovery_s + SETTLE_S
+        return is_late or (self._is_done and self.t > killed_s + wait_s)
 
-    def _settle(self) -> None:
-        """Wait until all is counted."""
-
-    def _fails(self, kind: str) -> bool:
-        """Whether a fault of this kind is on."""
-        on = [fault for fault in self.scenario.fault if fault.at_s <= self.t < fault.end_s]
-        return kind in ON_HARDWARE and any(fault.kind == kind for fault in on)
-
-    def _on(self, event: str) -> None:
-        """What has happened to the daemon."""
+    def _settle(self, bench: Bench) -> None:
+        """Send what was held back, and wait until all is counted, or for COUNTED_S."""
+        bench.finish()
+        self._is_over, deadline = True, time.monotonic() + COUNTED_S
+        while time.monotonic() < deadline:
+            self._step()
+            held = laws(bench.rig.ledger.entries(), self._health, line=bench.rig.line)
+            if all(law.holds for law in held):
+                return
 
     def _step(self) -> None:
-        """Take what the daemon has published."""
+        """Take what the daemon has published, and do what is due on the bench."""
         for topic, body in self.daemon.messages(STEP_MS):
             message = msgpack.unpackb(body)
             if topic == topics.TAXELS:
@@ -226,6 +252,8 @@ class LiveRun(SessionRun):
                 self._estimated(message)
             if self.published is not None:
                 add(self.published, self.t, topic, body)
+        if self._bench is not None:
+            self._bench.step()
 
     def _estimated(self, message: dict[str, Any]) -> None:
         if self._start_s is None and message["t"] > 0.0:
@@ -251,60 +279,6 @@ class LiveRun(SessionRun):
             error_m = add_m(self._scene, pose, self.truth)[1] if is_valid else np.nan
             line += f" {1e3 * error_m:16.1f}"
         return line + f"  {messages.object_of(message)}" * (len(self.scenario.known) > 1)
-
-
-class SimulatedRun(LiveRun):
-    """A run in real time in which a virtual skin and robot feed the daemon over a transport."""
-
-    log_level = "error"  # the daemon warns of injected faults, which are in the ledger
-
-    def __init__(self, scenario: Scenario, seed: int, say: Say = lambda _: None) -> None:
-        """Raises SetupError where the scenario needs the fake clock, or does not fit the skin."""
-        self.seed, self.rig = seed, Rig(scenario.in_real_time(), seed)
-        self.rigs, self.not_injected = [self.rig], NOT_INJECTED.get(scenario.transport, ())
-        super().__init__(scenario, "sim", "", self.rig.world.truth, say)
-
-    @property
-    def t(self) -> float:
-        return self._bench.t
-
-    def _config(self, place: Path) -> str:
-        self._where = VCAN if self.scenario.transport == "can" else place / "skin"
-        self._channel, self._poses = str(self._where), f"ipc://{place}/poses"
-        return super()._config(place)
-
-    def _play(self, directory: Path, place: Path) -> None:
-        with (
-            Recorder(directory, moves=True) as recorder,
-            closing(Bench(self.rig, self._where, self._poses, recorder.take)) as self._bench,
-        ):
-            self._follow(directory, place)
-
-    def _ends(self) -> bool:
-        return self.t >= self.rig.duration_s
-
-    def _settle(self) -> None:
-        """Send what was held back, and wait until all is counted, or for COUNTED_S."""
-        self._bench.finish()
-        self._is_over, deadline = True, time.monotonic() + COUNTED_S
-        while time.monotonic() < deadline:
-            self._step()
-            held = laws(self.rig.ledger.entries(), self._health, line=self.rig.line)
-            if all(law.holds for law in held):
-                return
-
-    def _fails(self, kind: str) -> bool:
-        return self.rig.fails(kind, self.t)
-
-    def _step(self) -> None:
-        super()._step()
-        self._bench.step()
-
-    def _on(self, event: str) -> None:
-        if event == "daemon killed":
-            self._bench.port.forget()
-        elif event == "daemon started":  # another host will listen
-            self.rig.ledger.begin()
 
 
 def emulate(

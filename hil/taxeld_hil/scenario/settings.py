@@ -9,11 +9,8 @@ from taxeld.proposals import bundle
 from taxeld_hil.scenario.scenario import Scenario
 
 
-def text(
-    scenario: Scenario, seed: int, channel: str, poses: str, place: Path, filter_keys: str = ""
-) -> str:
-    """The file: sockets and the skin's state are kept in `place`; `filter_keys` are more lines of
-    the table [filter]."""
+def text(scenario: Scenario, seed: int, channel: str, poses: str, place: Path) -> str:
+    """The file: sockets and the skin's state are kept in `place`."""
     several = scenario.links > 1
     tables = [
         ("[[skin]]" if several else "[skin]", _skin(scenario, number, channel, place))
@@ -37,7 +34,7 @@ def text(
         for name, keys in tables
         for line in (name, *(f"{key} = {_value(value)}" for key, value in keys.items()))
     ]
-    return "\n".join([*lines, filter_keys]).rstrip() + "\n"
+    return "\n".join([*lines, ""])
 
 
 def _skin(scenario: Scenario, number: int, channel: str, place: Path) -> dict[str, Any]:
