@@ -12,7 +12,6 @@ from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld_hil.grade.session import POSE, read
 from taxeld_hil.run.fake import FakeRun
-from taxeld_hil.run.live import LiveRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault
 from taxeld_hil.world.world import world_of
@@ -86,9 +85,7 @@ def test_links_that_do_not_fit_a_scenario_are_refused(keys: dict[str, object], s
         FakeRun(replace(LINKS, **keys), 0)  # type: ignore[arg-type]
 
 
-def test_several_layouts_are_links_which_real_time_does_not_have() -> None:
+def test_several_layouts_are_links() -> None:
     assert LINKS.on("", "a", "b").layouts == ("a", "b")
     assert LINKS.on("", LINKS.layouts[1]).links == 1
     assert LINKS.on("", "").layouts == LINKS.layouts
-    with pytest.raises(SetupError, match="several links run on the fake clock alone: --clock fake"):
-        LiveRun(LINKS, 0)

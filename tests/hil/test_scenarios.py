@@ -83,6 +83,11 @@ def test_a_shipped_scenario_passes_on_any_foam_and_transport(
     assert run.rig.ledger.fates.scans > 100
 
 
+def test_few_touches_that_are_advised_find_the_object() -> None:
+    run, _ = passing(replace(scenario.load("demo"), advised=True, contacts=4))
+    assert len(run.rig.world.touched_s()) <= 4
+
+
 @pytest.mark.smoke
 @pytest.mark.parametrize("transport", ["slcan", "native", "array"])
 def test_a_run_on_the_fake_clock_leaves_a_session_that_replays_to_its_end(

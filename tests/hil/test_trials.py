@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taxeld.advice.advice import Approach
 from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
@@ -18,11 +19,11 @@ from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.trials.case import SHIPPED, Case
 from taxeld_hil.trials.play import SCAN_S, TICK_S, Direct, play
-from taxeld_hil.world import plan
+from taxeld_hil.world import plan, robot
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.subjects import Subject
 from taxeld_hil.world.world import AWAY, World, world_of
-from tests.hil.rig import MODEL, MODULES, SKIN
+from tests.hil.rig import MODEL, MODULES, SKIN, TRUTH
 from tests.rig.scenes import disc, scene_of
 
 LINKS = scenario.load("links")
@@ -128,6 +129,53 @@ def test_a_touch_is_one_contact_no_deeper_than_asked_and_the_way_there_is_clear(
     assert max(model.activation(held(world)).max(axis=1)) > plan.TOUCH
     step = np.diff([world.sensor(t)[:2] for t in times], axis=0)
     assert np.linalg.norm(step, axis=1).max() < 0.005 * 0.251
+
+
+DEPTH_M = 0.003
+
+
+def approach(beside_m: float, direction: float = 0.4) -> Approach:
+    """Past the middle of the object, at so much to its side."""
+    ahead = np.array([np.cos(direction), np.sin(direction), 0.0])
+    aside = np.array([-ahead[1], ahead[0], 0.0])
+    middle = np.array([*se2.compose(TRUTH, np.array([*MODEL.scene.centre, 0.0]))[:2], 1.0])
+    before, at, until = (middle + beside_m * aside + way * ahead for way in (-0.25, 0.0, 0.25))
+    return Approach(0, before, at, until, direction, DEPTH_M, p_sure=0.5, gain=0.0, p_touch=1.0)
+
+
+def advised(*approaches: Approach) -> tuple[World, Floats]:
+    """A robot that makes these beside the object; and the times of its way."""
+    world = World([MODEL], Conditions(robot_m=0.0), 1)
+    world.place(TRUTH)
+    world.plan("advised", 0)
+    for each in approaches:
+        world.touch(each, world.duration_s + 0.2)
+    return world, np.arange(0.0, world.duration_s, 0.005)
+
+
+@pytest.mark.parametrize("direction", np.linspace(-3.0, 3.0, 5))
+def test_an_advised_robot_touches_on_the_straight_way_alone_and_as_deep_as_advised(
+    direction: float,
+) -> None:
+    world, times = advised(approach(0.0), last := approach(0.02, direction))
+    gap, touched = gaps(world, times), world.touched_s()
+    is_within = ((touched[:, :1] <= times) & (times <= touched[:, 1:])).any(axis=0)
+    assert gap[~is_within].min() > 0.5 * robot.SLOW_FROM_M
+    pressed = gap < 0.0
+    assert np.count_nonzero(np.diff(pressed.astype(int)) == 1) == 2
+    assert -DEPTH_M - 0.002 < gap.min() < -0.5 * DEPTH_M  # a millimetre is felt
+    np.testing.assert_allclose(world.sensor(world.duration_s), last.before)
+    step = np.linalg.norm(np.diff([world.sensor(t)[:2] for t in times], axis=0), axis=1)
+    assert step.max() < 0.005 * 1.01 * robot.TRAVEL_M_S
+    assert step[pressed[1:]].max() < 0.005 * 1.01 * robot.PRESS_M_S
+
+
+def test_where_an_advised_robot_finds_nothing_it_goes_to_the_end_and_back() -> None:
+    world, times = advised(missed := approach(0.2))
+    assert gaps(world, times).min() > 0.0
+    sensors = np.array([world.sensor(t) for t in times])
+    assert np.linalg.norm(sensors - missed.until, axis=1).min() < 0.002
+    np.testing.assert_allclose(world.sensor(world.duration_s), missed.before)
 
 
 @pytest.mark.parametrize(

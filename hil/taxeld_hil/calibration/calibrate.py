@@ -11,6 +11,7 @@ from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
+from taxeld.layout.layout import Layout
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import Inverse
@@ -36,15 +37,8 @@ class Result(NamedTuple):
     """A calibration, and its grounds."""
 
     calibration: Calibration
-    model: ObservationModel
-    presses: Presses
-    fit: FitResult
+    layout: Layout
     rules: list[Rule]
-
-    @property
-    def known(self) -> Bools:
-        """(M,) taxels whose own gain was measured."""
-        return np.asarray(self.calibration.gain_sd <= KNOWN_GAIN_SD)
 
 
 def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
@@ -119,7 +113,7 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
         *fit_rules(fit, presses, given=given),
         *_values(calibration, fit, given=given),
     ]
-    return Result(calibration, model, presses, fit, rules)
+    return Result(calibration, layout, rules)
 
 
 def uncalibrated(config: Config) -> Config:

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _write(result: Result, out: Path) -> str:
     """Write both files; → the text. Raises SetupError where they cannot be written."""
-    c, layout = result.calibration, result.model.layout
+    c, layout, _ = result
     head = f"calibration of {layout.name}, {len(layout)} taxels, on {c.object}"
     text = "\n".join([head, *rules.lines(result.rules)])
     try:
