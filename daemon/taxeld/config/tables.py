@@ -28,12 +28,9 @@ def _modules(modules: tuple[tuple[int, ...], ...]) -> str | None:
         if len(entry) not in (2, 3) or len(entry) != len(modules[0]):
             return f"{list(entry)}: must be [SUI, mask], or all [SUI, mask, hub]"
         sui, mask, hub = (*entry, 1)[:3]
-        if not 0 <= sui < 1 << 32:
-            return f"{list(entry)}: {sui} is no serial number (0..4294967295)"
-        if not 0 <= mask <= ALL_NAMES:
-            return f"{list(entry)}: {mask:#x} is no mask of uncut taxels (0..{ALL_NAMES:#x})"
-        if not 0 < hub < BROADCAST:
-            return f"{list(entry)}: {hub} is no short id of a hub (1..{BROADCAST - 1})"
+        if not (0 <= sui < 1 << 32 and 0 <= mask <= ALL_NAMES and 0 < hub < BROADCAST):
+            spans = f"SUI 0..4294967295, mask 0..{ALL_NAMES:#x}, hub 1..{BROADCAST - 1}"
+            return f"{list(entry)}: is out of range: {spans}"
     if twice := _twice(sui for sui, mask, *_ in modules if mask):
         return f"lists module {twice[0]} more than once"
     if max(Counter(tuple(hub) for _, _, *hub in modules).values(), default=0) > MAX_MODULES:
