@@ -3,12 +3,8 @@
 It begins as a hub that was just powered. Its own bootloader is left by LEAVE_BOOTLOADER, and then
 that of its modules by MODULE_PROGRAM_END. Until their application runs it declares no channels, and
 sends no scan. Of the commands it does those that a bring-up needs, a cut of taxels and a reboot.
-
-It may take its time: by the times of the requests, its modules start late, and it drops requests,
-or says that it is busy, after it was told to be silent.
 """
 
-import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -96,19 +92,14 @@ class VirtualIhb:
         phase: Phase = Phase.BOOTLOADER,
         details_channels: int | None = NAMES,
         versions: Mapping[int, str] = VERSIONS,
-        modules_s: float = 0.0,
-        deaf_s: float = 0.0,
-        says_busy: bool = False,
     ) -> None:
         """`phase`: after power-on; RUNNING is a hub that something else has started.
         `details_channels`: what MODULE_DETAILS tells of each module; None: what it sends.
-        `versions`: by command. `modules_s`: time that the modules take to start. `deaf_s`: time
-        after SET_AUTO_SYNC 0 in which requests are dropped, or with `says_busy` refused."""
+        `versions`: by command."""
         self.uid = uid
         self._built = list(modules), short_id, phase
         self._details_channels = details_channels
         self._versions = versions
-        self._modules_s, self._deaf_s, self._says_busy = modules_s, deaf_s, says_busy
         self.reboot()
 
     def reboot(self) -> None:
@@ -118,8 +109,6 @@ class VirtualIhb:
         self.period_ms = DEFAULT_PERIOD_MS
         self.auto_sync = False
         self._next_s: float | None = None  # time of the next scan while it streams
-        # times when its modules run, and when it hears again
-        self._runs_s, self._hears_s = math.inf, -math.inf
 
     def due(self, now_s: float) -> bool:
         """Whether a scan is to be sent now; a late caller skips scans, as an acquisition would."""
@@ -147,11 +136,6 @@ class VirtualIhb:
         """The hub's answers to a request; none if it is for another hub."""
         if packet.ihb not in (self.short_id, BROADCAST) or packet.command == Command.ERROR:
             return []
-        if packet.t >= self._runs_s:
-            self.phase = Phase.RUNNING
-        if packet.t < self._hears_s:
-            is_told = self._says_busy and packet.command != LEAVE_BOOTLOADER
-            return [_error(packet.command, ErrorCode.BUSY)] if is_told else []
         if packet.command == LEAVE_BOOTLOADER:
             self.phase = max(self.phase, Phase.MODULES)
             return []
@@ -166,10 +150,10 @@ class VirtualIhb:
         is_late = command in LATE and fields.get("on") != 0
         if self.phase < Phase.RUNNING and is_late:
             return [_error(command, ErrorCode.PHASE)]
-        error = self._apply(command, fields, packet.t)
+        error = self._apply(command, fields)
         return [_error(command, error)] if error else self._report(command, fields)
 
-    def _apply(self, command: Command, fields: commands.Fields, t: float) -> ErrorCode | None:
+    def _apply(self, command: Command, fields: commands.Fields) -> ErrorCode | None:
         """Do what a request asks for; → why not, where it cannot be done."""
         module = fields.get("module", ALL_MODULES)
         if module != ALL_MODULES and module >= len(self.modules):
@@ -182,14 +166,9 @@ class VirtualIhb:
             case Command.MODULE_PROGRAM_END:
                 if self.phase < Phase.MODULES:
                     return ErrorCode.PHASE
-                if self._modules_s:
-                    self._runs_s = min(self._runs_s, t + self._modules_s)
-                else:
-                    self.phase = Phase.RUNNING
+                self.phase = Phase.RUNNING
             case Command.SET_AUTO_SYNC:
                 self.auto_sync = bool(fields["on"])
-                if not self.auto_sync:
-                    self._hears_s = t + self._deaf_s
             case Command.SET_AUTO_SYNC_PERIOD:
                 if not fields["period_ms"]:
                     return ErrorCode.INVALID

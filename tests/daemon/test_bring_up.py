@@ -15,7 +15,7 @@ from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command, ErrorCo
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import Module, listed, wired
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
-from tests.rig.virtual_hub import StuckHub, told
+from tests.rig.virtual_hub import LateHub, StuckHub, told
 
 UIDS = [i // 10 + 1 << 4 | i % 10 + 1 for i in range(30)]
 MODULES = wired(UIDS)
@@ -157,7 +157,7 @@ def test_each_hub_streams_six_seconds_after_it_can_and_one_that_streams_is_left_
     options: dict[str, Any], powered: list[float], beside: bool, short_id: int, late: bool
 ) -> None:
     other = VirtualIhb(MODULES[:1], uid=7, short_id=1)
-    hub = VirtualIhb(MODULES[1:], uid=8, short_id=short_id, **options)
+    hub = LateHub(MODULES[1:], uid=8, short_id=short_id, **options)
     bus = HubBus(*[other] * beside, late=late, suis=[m.sui for m in MODULES if m.sui])
     now = 0.0
     for at in powered:
@@ -226,7 +226,7 @@ def test_who_does_not_answer_is_looked_for_at_a_low_rate(
 @pytest.mark.parametrize(
     ("stuck", "line", "rate_hz"),
     [
-        (VirtualIhb(MODULES, 7, deaf_s=1e9, says_busy=True), "still answers BUSY to ", 8.0),
+        (LateHub(MODULES, 7, deaf_s=1e9, says_busy=True), "still answers BUSY to ", 8.0),
         (StuckHub(MODULES, uid=7), "stays in its bootloader: switch it off and on", 8.0),
         (VirtualIhb([Module(12, 9, 0xFFF, grouping=2)], 7), "is refused: module 9 is grouped", 3.2),
         (

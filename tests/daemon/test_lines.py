@@ -26,13 +26,13 @@ from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.slcan import BITRATES
-from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
+from taxeld_protocol.virtual_ihb import Answer, Phase
 from tests.rig.adapters import KINDS
 from tests.rig.clocks import until
 from tests.rig.far_end import FarEnd, LateAdapter
 from tests.rig.sessions import items_of
 from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
-from tests.rig.virtual_hub import VirtualHub
+from tests.rig.virtual_hub import LateHub, VirtualHub
 
 TICK_S = 0.01
 NATIVE = "native"
@@ -157,7 +157,7 @@ def test_a_channel_that_another_process_closed_is_opened_again_and_said_once(
     assert said[1][1] == f"no longer: {said[0][1]}"
 
 
-class QuietHub(VirtualIhb):
+class QuietHub(LateHub):
     """It says nothing while its modules start."""
 
     wakes_s = -math.inf

@@ -1,12 +1,20 @@
 """A virtual hub behind one of the harness's pseudo-terminals, served by the test itself."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Self
 
 from taxeld_hil.rig.ports import NativePort, SlcanPort
 from taxeld_protocol import cyskin, serial_link, slcan
-from taxeld_protocol.cyskin import ALL_MODULES, BROADCAST, Command, Packet
+from taxeld_protocol.cyskin import (
+    ALL_MODULES,
+    BROADCAST,
+    LEAVE_BOOTLOADER,
+    Command,
+    ErrorCode,
+    Packet,
+)
 from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
@@ -25,6 +33,38 @@ def told(hub: VirtualIhb) -> list[Answer]:
 def frames_of(answers: Iterable[Answer], ihb: int = 1, t: float = 0.0) -> list[Frame]:
     """Answers of a hub as they go over CAN."""
     return [frame for answer in answers for frame in cyskin.to_frames(*answer, ihb=ihb, t=t)]
+
+
+class LateHub(VirtualIhb):
+    """By the times of the requests its modules start late, and it drops requests, or says that it
+    is busy, after it was told to be silent."""
+
+    def __init__(
+        self, modules: Sequence[Module], uid: int = 0xC15C0001, short_id: int = 1, **late: float
+    ) -> None:
+        """`late`: `modules_s` and `deaf_s`, and whether it `says_busy`."""
+        self._late = {"modules_s": 0.0, "deaf_s": 0.0, "says_busy": False} | late
+        super().__init__(modules, uid, short_id)
+
+    def reboot(self) -> None:
+        super().reboot()
+        self._runs_s, self._hears_s = math.inf, -math.inf
+
+    def answer(self, packet: Packet) -> list[Answer]:
+        if packet.t >= self._runs_s:
+            self.phase, self._runs_s = Phase.RUNNING, math.inf
+        is_mine = packet.ihb in (self.short_id, BROADCAST)
+        if is_mine and packet.command != Command.ERROR and packet.t < self._hears_s:
+            if not self._late["says_busy"] or packet.command == LEAVE_BOOTLOADER:
+                return []
+            return [(Command.ERROR, bytes((packet.command, ErrorCode.BUSY)))]
+        was, answers = self.phase, super().answer(packet)
+        if was < self.phase == Phase.RUNNING and self._late["modules_s"]:
+            self.phase = was
+            self._runs_s = min(self._runs_s, packet.t + self._late["modules_s"])
+        if is_mine and packet.command == Command.SET_AUTO_SYNC and not self.auto_sync:
+            self._hears_s = packet.t + self._late["deaf_s"]
+        return answers
 
 
 class StuckHub(VirtualIhb):
