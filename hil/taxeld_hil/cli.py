@@ -135,6 +135,7 @@ def _matrix(args: argparse.Namespace) -> int:
 
     taxeld-hil matrix demo --seeds 2 --out matrix
     """
+    from taxeld_hil import jobs
     from taxeld_hil.experiment import runs
     from taxeld_hil.scenario import scenario as scenarios
 
@@ -142,7 +143,7 @@ def _matrix(args: argparse.Namespace) -> int:
     objects, foams = args.object or MATRIX_OBJECTS, args.foam or MATRIX_FOAMS
     layouts = options.layouts(args.layout)
     rows = _done(runs.matrix(names, objects, foams, args.seeds, layouts), args, runs.described)
-    runs.save(args.out / "scenarios.json", rows)
+    jobs.save(args.out / "scenarios.json", "runs", rows, {})
     _say("\n".join(runs.lines(rows)))
     return 0 if all(row["passed"] for row in rows) else 1
 
@@ -153,6 +154,7 @@ def _soak(args: argparse.Namespace) -> int:
     taxeld-hil soak --hours 2
     taxeld-hil soak mine.toml --real-minutes 10
     """
+    from taxeld_hil import jobs
     from taxeld_hil.experiment import runs, soak
     from taxeld_hil.scenario import scenario as scenarios
 
@@ -163,7 +165,7 @@ def _soak(args: argparse.Namespace) -> int:
         raise SetupError(most)
     todo = soak.jobs(scenarios.load(args.scenario), args.seed, minutes, real=real)
     rows = _done(todo, args, runs.described)
-    runs.save(args.out, rows)
+    jobs.save(args.out, "runs", rows, {})
     _say(soak.described(rows))
     return 0 if soak.passed(rows) else 1
 

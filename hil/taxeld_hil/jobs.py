@@ -12,7 +12,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib import resources
@@ -117,6 +117,19 @@ def read(job: Job, memory: Path) -> Any:
         return json.loads((memory / f"{job.key}.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
+
+
+def save(path: Path, name: str, rows: Sequence[Any], about: Mapping[str, Any]) -> Path:
+    """Write rows of results as JSON, a row a line: a diff can be read; before them what is said
+    `about` them. Raises SetupError."""
+    head = "".join(f"{json.dumps(key)}: {json.dumps(value)},\n" for key, value in about.items())
+    lines = ",\n".join(map(json.dumps, rows))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f'{{{head}"{name}": [\n{lines}\n]}}\n', encoding="utf-8")
+    except OSError as error:
+        raise SetupError(f"--out: cannot write {path} ({error.strerror})") from None
+    return path
 
 
 def forget(job: Job, memory: Path) -> None:

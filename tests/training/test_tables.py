@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from taxeld.errors import SetupError
+from taxeld_hil import jobs
 from taxeld_training.trials import charts, questions, tables
 
 ROOT = Path(__file__).parents[2]
@@ -71,7 +72,7 @@ def test_pages_hold_what_their_rows_say_or_are_filled(
 ) -> None:
     assert tables.main([]) == 0, "a page of this tree and its rows disagree"
     monkeypatch.setattr(tables, "DOCS", tmp_path)
-    tables.write(tmp_path / "results" / "mine.json", {"commit": "x"}, ROWS)
+    jobs.save(tmp_path / "results" / "mine.json", "rows", ROWS, {"commit": "x"})
     block = "<!-- figures: mine | cell=exact | object | found 2 -->\n{}<!-- end of figures -->\n"
     page = tmp_path / "page.md"
     page.write_text("a\n" + block.format("old\n") + "b\n" + block.format(""), encoding="utf-8")
@@ -86,7 +87,7 @@ def test_pages_hold_what_their_rows_say_or_are_filled(
 def test_a_file_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("", encoding="ascii")
     with pytest.raises(SetupError, match="--out: cannot write"):
-        tables.write(tmp_path / "out" / "x.json", {}, [])
+        jobs.save(tmp_path / "out" / "x.json", "rows", [], {})
 
 
 def figures(**of: str) -> tables.Row:

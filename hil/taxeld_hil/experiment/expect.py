@@ -19,10 +19,9 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.layout.read import COLUMNS
-from taxeld_hil.experiment import runs as measured
 from taxeld_hil.experiment.runs import RunRow
 from taxeld_hil.integrity import FOUND_MM, Claims
-from taxeld_hil.jobs import Job
+from taxeld_hil.jobs import Job, save
 from taxeld_hil.objects import meshes
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.trials.case import DEFAULT_LAYOUT, Case
@@ -146,14 +145,10 @@ def written(own: Case, runs: Sequence[RunRow], out: Path) -> Iterator[str]:
     trials = [run for run in runs if run["name"] == AS_IS]
     model, given = model_of(own.subject, *own.specs), own.conditions
     told, changes = claims(trials).by_touch(), helps(runs)
-    asked = {"object": own.subject.name, "layout": own.specs[0], "foam": given.foam}
-    measured.save(
-        out / "expect.json",
-        runs,
-        asked=asked | {"robot_m": given.robot_m, "depth_m": model.depth_max_m},
-        touches=told,
-        helps=[each._asdict() for each in changes],
-    )
+    asked = own.subject.name, own.specs[0], given.foam, given.robot_m, model.depth_max_m
+    asked_by = dict(zip(("object", "layout", "foam", "robot_m", "depth_m"), asked, strict=True))
+    about = {"asked": asked_by, "touches": told, "helps": [each._asdict() for each in changes]}
+    save(out / "expect.json", "runs", runs, about)
     yield (
         f"{own.subject.name} on {model.layout.name}, {len(model.layout)} taxels, foam {given.foam} "
         f"of {1e3 * model.depth_max_m:g} mm, robot {1e3 * given.robot_m:g} mm: {len(trials)} trials"

@@ -1,7 +1,6 @@
 """Many runs as jobs, a row each: `taxeld-hil matrix` has scenarios on objects and skins, seed by
 seed, and says how many find theirs."""
 
-import json
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
@@ -84,22 +83,6 @@ def play(name: str, subject: Scenario, seed: int, real: bool) -> RunRow:
         "seconds": grade.run.end_s,
         "growth_mb": grade.run.growth_mb,
     }
-
-
-def save(path: Path, runs: Sequence[RunRow], **about: Any) -> None:
-    """Write runs as JSON, a run a line: a diff can be read; before them what is said `about` them,
-    a value a line.
-
-    Raises:
-        SetupError: the file cannot be written.
-    """
-    lines = ",\n".join(map(json.dumps, runs))
-    head = "".join(f"{json.dumps(key)}: {json.dumps(value)},\n" for key, value in about.items())
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(f'{{{head}"runs": [\n{lines}\n]}}\n', encoding="utf-8")
-    except OSError as error:
-        raise SetupError(f"--out: {path}: cannot be written ({error.strerror})") from None
 
 
 def described(run: RunRow) -> str:

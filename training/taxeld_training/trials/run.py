@@ -57,7 +57,7 @@ def answer(names: Sequence[str], asked: Selection, workers: Workers, out: Path) 
         rows = score.rows(played, question.by)
         rows += samplers.rows(question, workers.memory, workers.run)
         given = {"question": question.says, **_made(question.name)}
-        data = tables.write(out / f"{question.name}.json", given, rows)
+        data = jobs.save(out / f"{question.name}.json", "rows", rows, given)
         yield f"{question.name}: {question.says}"
         yield from (tables.text(rows, spec) + "\n" for spec in question.tables)
         yield str(data)

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from taxeld.errors import SetupError
-
 Row: TypeAlias = dict[str, Any]
 
 ALL = "all"
@@ -35,18 +33,6 @@ DOCS = Path(__file__).parents[3] / "docs"
 BLOCK = re.compile(
     r"(<!-- figures: (\w+) \| ([^\n]*) -->\n)(.*?)(<!-- end of figures -->)", re.DOTALL
 )
-
-
-def write(path: Path, about: Mapping[str, str], rows: Sequence[Row]) -> Path:
-    """Rows as a JSON file, a row a line so that a diff can be read. Raises SetupError."""
-    head = ",\n".join(f"{json.dumps(k)}: {json.dumps(v)}" for k, v in about.items())
-    lines = ",\n".join(json.dumps(row) for row in rows)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(f'{{{head},\n"rows": [\n{lines}\n]}}\n', encoding="utf-8")
-    except OSError as error:
-        raise SetupError(f"--out: cannot write {path} ({error.strerror})") from None
-    return path
 
 
 def text(rows: Sequence[Row], spec: str) -> str:
