@@ -18,7 +18,7 @@ from taxeld.command_line import Arguments, Run, flag, given
 from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_hil import options
+from taxeld_hil import jobs
 from taxeld_hil.scenario.mesh_config import FOAMS
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def _expect(args: argparse.Namespace) -> int:
     depth_m = None if args.depth_mm is None else 1e-3 * args.depth_mm
     subject = Subject(args.object, height_m=args.height_m, depth_m=depth_m)
     conditions = Conditions(foam=args.foam, robot_m=1e-3 * args.robot_mm, robot_told=True)
-    made = expect.cases(subject, args.layout, conditions, args.touches, options.MEMORY / "expect")
+    made = expect.cases(subject, args.layout, conditions, args.touches, jobs.MEMORY / "expect")
     runs = _done(expect.jobs(made, args.seeds), args, expect.described)
     _say("\n".join(expect.written(made[expect.AS_IS], runs, args.out)))
     return 0
@@ -141,7 +141,7 @@ def _matrix(args: argparse.Namespace) -> int:
 
     names = args.scenario or list(scenarios.shipped())
     objects, foams = args.object or MATRIX_OBJECTS, args.foam or MATRIX_FOAMS
-    layouts = options.layouts(args.layout)
+    layouts = jobs.layouts(args.layout)
     rows = _done(runs.matrix(names, objects, foams, args.seeds, layouts), args, runs.described)
     jobs.save(args.out / "scenarios.json", "runs", rows, {})
     _say("\n".join(runs.lines(rows)))
@@ -174,9 +174,7 @@ def _done(
     todo: "list[Job]", args: argparse.Namespace, describe: Callable[[Any], str]
 ) -> list[dict[str, Any]]:
     """The results of jobs, in their order."""
-    from taxeld_hil import jobs
-
-    done = jobs.run(todo, options.MEMORY, workers=args.workers, describe=describe)
+    done = jobs.run(todo, jobs.MEMORY, workers=args.workers, describe=describe)
     return [done[job.name] for job in todo]
 
 
@@ -246,7 +244,7 @@ COMMANDS: dict[Run, Arguments] = {
         given("--depth-mm", "D", "of the foam, at full scale (5, or the bundle's)", float),
         given("--touches", "N", "default: 8", int, default=8),
         given("--seeds", "N", "trials (60)", int, default=60),
-        options.WORKERS,
+        jobs.WORKERS,
         given("--out", "DIR", "for the JSON", Path, default=Path("expect")),
     ),
     _matrix: (
@@ -255,9 +253,9 @@ COMMANDS: dict[Run, Arguments] = {
             "--object", "BUNDLE", f"may be repeated ({', '.join(MATRIX_OBJECTS)})", action="append"
         ),
         given("--foam", "FOAM", f"may be repeated ({', '.join(MATRIX_FOAMS)})", action="append"),
-        options.layout_option("what each object's bundle was built for"),
+        jobs.layout_option("what each object's bundle was built for"),
         given("--seeds", "N", "runs of each kind (5)", int, default=5),
-        options.WORKERS,
+        jobs.WORKERS,
         given("--out", "DIR", "for the JSON", Path, required=True),
     ),
     _soak: (
@@ -267,7 +265,7 @@ COMMANDS: dict[Run, Arguments] = {
             given("--hours", "H", "of scans, on the fake clock (1)", float, default=1.0),
             given("--real-minutes", "N", "over the transport, in real time", int),
         ],
-        options.WORKERS,
+        jobs.WORKERS,
         given("--out", "FILE", "the report", Path, default=Path("soak.json")),
     ),
     _emulate: (

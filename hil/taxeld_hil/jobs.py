@@ -1,7 +1,8 @@
 """Jobs of an experiment: they run side by side, are remembered, and show their progress.
 
 A job is a function and its arguments. Its result is JSON, kept in a file of its own, so that an
-experiment cut short goes on where it stopped. The harness and the training both run theirs here.
+experiment cut short goes on where it stopped. The harness and the training both run theirs here,
+with the same options.
 """
 
 import contextlib
@@ -20,9 +21,11 @@ from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-from taxeld.command_line import ONE_THREAD
+from taxeld.command_line import ONE_THREAD, Argument, given
 from taxeld.errors import SetupError
 
+MEMORY = Path(".experiments")  # finished jobs; what was interrupted goes on from them
+OWN = "own"  # `--layout` of what a row is of without that option
 PATIENCE = "10s"  # longest wait for a Dask scheduler's answer
 _GIVEN: list[Any] = []  # in a worker: what it was given when it began
 NAME_LENGTH = 60  # characters of a job's name in its file's name; a key's hash tells jobs apart
@@ -58,6 +61,34 @@ def code(decides: tuple[str, ...]) -> str:
         for path in sorted(root.glob(inside)):
             found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return found.hexdigest()[:12]
+
+
+def _workers(text: str) -> int | str:
+    return text if "://" in text else int(text)
+
+
+JOBS = "jobs at a time, one thread each, or the address of a running Dask scheduler"
+WORKERS = given("--workers", "N|ADDRESS", JOBS, _workers, default=2)
+
+
+def layout_option(own: str) -> Argument:
+    """The option `--layout`, which makes rows for each layout that it names."""
+    about = f"make rows for it, as skin.layout; may be repeated; '{OWN}': {own} (the default)"
+    return given("--layout", "LAYOUT", about, action="append")
+
+
+def layouts(named: Sequence[str] | None) -> list[str]:
+    """The layouts that `--layout` named, "" for OWN.
+
+    Raises:
+        SetupError: rows of two could not be told apart.
+    """
+    found: dict[str, str] = {}
+    for spec in named or [OWN]:
+        kept = "" if spec == OWN else spec if ":" in spec else str(Path(spec).resolve())
+        if found.setdefault(layout_name(kept), kept) != kept:
+            raise SetupError(f"--layout: two are called {layout_name(kept)}; rename a file")
+    return list(found.values())
 
 
 def layout_name(layout: str) -> str:

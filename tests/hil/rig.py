@@ -9,22 +9,21 @@ import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.layout import read as layouts
-from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import response
 from taxeld.proposals import bundle
+from taxeld.source.recorder import Recorder
 from taxeld_hil.calibration.fit import depths
 from taxeld_hil.calibration.presses import Presses
 from taxeld_hil.grade.grade import Grade
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_protocol import cyskin
-from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.rig.virtual_hub import told
+from tests.rig.simulated_skin import PERIOD_S, SimulatedSkin
+from tests.rig.virtual_hub import frames_of, told
 
 DEMO = scenario.load("demo")
 SKIN = layouts.load(DEMO.skin_layout)
@@ -32,7 +31,7 @@ MODEL = bundle.load("box", SKIN, 0.005).model
 MODULES = wired(SKIN.uid.tolist())
 TRUTH = np.array([0.05, -0.1, 0.7])  # pose of a touched object
 PLACED = np.array([0.05, -0.04, 0.6])  # pose of the object that calibrates
-PERIOD_S, BASE = 0.05, 10_000
+BASE, HELD_S = 10_000, 0.4
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # turns between stretches of skin: even at any count
 FIRM = 0.4  # of full scale: a corner between two columns is pressed less
 
@@ -116,53 +115,28 @@ class PressedSkin:
 
 
 def write_session(
-    directory: Path,
-    skin: PressedSkin,
-    idle_s: float = 12.0,
-    held_s: float = 0.4,
-    frozen: tuple[int, ...] = (),
-    config: str = "",
+    directory: Path, skin: PressedSkin, idle_s: float = 12.0, frozen: tuple[int, ...] = ()
 ) -> None:
-    """A CAN session of that skin: idle, then each press held, and away between."""
-    layout: Layout = skin.model.layout
-    modules = wired(layout.uid.tolist())
-    hub, rng = VirtualIhb(modules), np.random.default_rng(1)
-    uids = [uid for module in modules for uid in module.uids]
-    index = {int(uid): i for i, uid in enumerate(layout.uid)}
-    taxel = np.array([index.get(uid, -1) for uid in uids])
-    frames: list[Frame] = []
-    poses: list[tuple[float, Poses]] = []
-
-    def send(answers: list[tuple[int, bytes]], t: float) -> None:
-        for command, payload in answers:
-            frames.extend(cyskin.to_frames(command, payload, ihb=1, t=t))
-
-    away = np.array([0.6, 0.6, 0.0])
+    """A CAN session of that skin, from 100 s on: idle, then each press held, and away between."""
+    simulated, hub = SimulatedSkin(skin.model.layout, 1, skin.noise), VirtualIhb(MODULES)
+    simulated.fixed = dict.fromkeys(frozen, BASE)
+    away, t = np.array([0.6, 0.6, 0.0]), 100.0
     stays = [(away, idle_s)]
     for told_at in skin.told:
-        stays += [(told_at, held_s), (away, 0.25)]
-    send(told(hub), 100.0)
-    t = 100.0
-    for told_at, seconds in stays:
-        pressed = skin.counts(se2.compose(told_at, skin.mount)[None])[0]
-        for _ in range(round(seconds / PERIOD_S)):
-            t += PERIOD_S
-            counts = BASE + pressed + skin.noise * rng.standard_normal(len(pressed))
-            counts[list(frozen)] = BASE
-            values = np.where(taxel >= 0, counts[taxel], 12_000.0)
-            poses += [(t - 0.03, told_at), (t, told_at)]
-            send(hub.sensor_data(np.round(values).astype(int).tolist()), t)
-    directory.mkdir(parents=True)
-    log = "".join(format_log_line(frame) + "\n" for frame in frames)
-    (directory / "frames.log").write_text(log, encoding="ascii")
-    rows = "".join(
-        f"{at:.6f},{x!r},{y!r},{yaw!r}\n"
-        for at, (x, y, yaw) in ((at, pose.tolist()) for at, pose in poses)
-    )
-    (directory / "sensor_pose.csv").write_text("t,x,y,theta\n" + rows, encoding="ascii")
+        stays += [(told_at, HELD_S), (away, 0.25)]
+    with Recorder(directory, moves=True) as recorder:
+        for frame in frames_of(told(hub), t=t):
+            recorder.take(frame)
+        for told_at, seconds in stays:
+            simulated.press = skin.counts(se2.compose(told_at, skin.mount)[None])[0]
+            for _ in range(round(seconds / PERIOD_S)):
+                t += PERIOD_S
+                for at in (t - 0.03, t):
+                    recorder.take((at, *told_at.tolist()))
+                for frame in frames_of(hub.sensor_data(simulated.scan().counts), t=t):
+                    recorder.take(frame)
     (directory / "config.toml").write_text(
-        config
-        or '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
+        '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
         '[filter]\nproposal = "manifold"\nparticles = 60\nparticles_max = 60\ninjected = 20\n',
         encoding="utf-8",
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from taxeld.errors import SetupError
-from taxeld_hil import jobs, options
+from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
 
 
@@ -147,8 +147,8 @@ def test_the_same_jobs_run_on_a_dask_cluster_and_a_missing_scheduler_is_refused(
 
 def test_layouts_have_rows_in_turn_and_two_of_one_name_are_refused(tmp_path: Path) -> None:
     line, here = "wrap:modules=12,radius_m=0.04", tmp_path / "here.csv"
-    assert options.layouts(None) == [""]
-    assert options.layouts(["own", line, str(here), str(here)]) == ["", line, str(here)]
+    assert jobs.layouts(None) == [""]
+    assert jobs.layouts(["own", line, str(here), str(here)]) == ["", line, str(here)]
     assert [jobs.layout_name(each) for each in ("", line, str(here))] == ["", line, "here"]
     with pytest.raises(SetupError, match="two are called here"):
-        options.layouts([str(here), str(tmp_path / "here.json")])
+        jobs.layouts([str(here), str(tmp_path / "here.json")])

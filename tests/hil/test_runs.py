@@ -1,6 +1,8 @@
-"""Many runs, as jobs: scenarios on objects and skins, and laps of random faults."""
+"""Many runs, as jobs: scenarios on objects and skins, and laps of random faults; and the words that
+their estimates are judged by."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 from importlib import resources
@@ -10,11 +12,11 @@ from typing import Any
 
 import pytest
 
+from taxeld.estimator.estimate import SURE
 from taxeld.layout import read as layouts
-from taxeld_hil import cli
+from taxeld_hil import cli, integrity
 from taxeld_hil.experiment import runs, soak
 from taxeld_hil.experiment.runs import RunRow
-from taxeld_hil.scenario import laps
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.trials import case
 from tests.hil.rig import DEMO, SKIN
@@ -120,7 +122,7 @@ def test_a_soak_has_a_row_a_lap_and_goes_on_from_the_laps_that_were_run(
         assert "; 0 accounts do not balance; " in said.out
     assert "1 of 2 runs are remembered" in said.err
     for number, row in enumerate(rows):
-        lap = laps.lap(replace(DEMO, physics="scene"), 5, number)
+        lap = soak.lap(replace(DEMO, physics="scene"), 5, number)
         assert [each["at_s"] for each in row["faults"]] == [fault.at_s for fault in lap.fault]
 
 
@@ -145,7 +147,7 @@ def test_a_lie_that_was_told_earlier_in_the_lap_explains_what_misleads_and_no_ot
     ):
         rows = soaked({"faults": faults, "misleading_at_s": [at_s]})
         assert f"misleading after {blamed} 1" in soak.described(rows)
-        assert soak.passed(rows) == (blamed in laps.DECEPTIVE)
+        assert soak.passed(rows) == (blamed in soak.DECEPTIVE)
 
 
 LOST = fault("reboot", recovered_s=None)
@@ -177,13 +179,33 @@ def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
 
 def test_laps_differ_and_are_determined_by_seed_and_number() -> None:
     small = DEMO.on("", SMALL)
-    made = [laps.lap(small, 1, number) for number in range(300)]
-    assert made[:30] == [laps.lap(small, 1, number) for number in range(30)]
+    made = [soak.lap(small, 1, number) for number in range(300)]
+    assert made[:30] == [soak.lap(small, 1, number) for number in range(30)]
     assert len({repr(lap.fault) for lap in made}) > 200, "a fifth have no fault"
     for lap in made:
         assert all(one.end_s < other.at_s for one, other in pairwise(lap.fault))
     faults = [fault for lap in made for fault in lap.fault]
-    assert {fault.kind for fault in faults} == {*laps.KINDS}
+    assert {fault.kind for fault in faults} == {*soak.KINDS}
     assert {fault.module for fault in faults} == {0, 1, 2, 3}
     assert 30 < max(taxel for fault in faults for taxel in fault.taxels) < 40
-    assert max(fault.end_s for fault in laps.lap(DEMO, 1, 0, minutes=20).fault) > 900.0
+    assert max(fault.end_s for fault in soak.lap(DEMO, 1, 0, minutes=20).fault) > 900.0
+
+
+@pytest.mark.parametrize(
+    ("p", "error_mm", "radius_mm", "found", "sure", "misleading"),
+    [
+        (1.0, 3.0, 5.0, True, True, False),
+        (SURE, 5.0, 5.0, True, True, False),  # exactly at its radius
+        (1.0, 6.0, 5.0, True, True, True),  # beyond its radius
+        (1.0, 10.0, 20.0, False, True, True),  # 10 mm is not under 10 mm
+        (1.0, math.nan, 20.0, False, True, True),  # another object
+        (0.98, 99.0, 5.0, False, False, False),  # claims nothing
+        (math.nan, 99.0, math.nan, False, False, False),  # a filter that publishes no p
+    ],
+)
+def test_what_is_sure_misleads_unless_it_is_found_and_within_its_radius(
+    p: float, error_mm: float, radius_mm: float, found: bool, sure: bool, misleading: bool
+) -> None:
+    assert integrity.is_found(error_mm) == found
+    assert integrity.is_sure(p) == sure
+    assert integrity.is_misleading(p, error_mm, radius_mm) == misleading

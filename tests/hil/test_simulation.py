@@ -1,18 +1,23 @@
 """The demo on the fake clock, and the simulated parts it is made of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from taxeld.arrays import Poses
+from taxeld.config.tables import SensorPoseConfig
 from taxeld.model import contacts, se2
+from taxeld.model.symmetry import add_m
+from taxeld.pipeline.poses import EXTRAPOLATE_S
 from taxeld.proposals import bundle
+from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault, Scenario
 from taxeld_hil.world.skin import exact
 from taxeld_hil.world.world import IDLE_S, World, world_of
-from tests.hil.rig import SKIN
+from tests.hil.rig import DEMO, SKIN
 from tests.rig.processes import python
-
-FAR = np.array([5.0, 5.0, 0.0])
 
 
 def test_the_demos_physics_need_nothing_but_the_runtime() -> None:
@@ -87,3 +92,48 @@ def test_any_eight_presses_in_turn_come_from_all_sides(contacts: int) -> None:
         around = np.sort(side[first : first + ENOUGH])
         gaps = np.diff(np.append(around, around[0] + 2.0 * np.pi))
         assert np.degrees(gaps.max()) < 150.0
+
+
+SHORT = replace(DEMO, contacts=4)
+
+
+def of_late_poses(extrapolate_s: float) -> tuple[float, float, int]:
+    """A robot whose poses are a period late; → the final error [mm], the most that a touch's place
+    was off [mm], and the scans that waited."""
+    ran = FakeRun(SHORT, 0)
+    assert ran.daemon is not None
+    pipeline, take = ran.daemon.pipeline, ran.daemon.pose
+    track, at = pipeline.poses, pipeline.poses.at
+    track.extrapolate_s = extrapolate_s  # type: ignore[union-attr]
+    told, placed = list[tuple[float, ...]](), list[tuple[float, Poses]]()
+
+    def pose(*row: float) -> None:
+        told.append(row)
+        if len(told) > 1:
+            take(*told[-2])  # type: ignore[arg-type]
+
+    def placing(t: float) -> Poses | None:
+        found = at(t)
+        if found is not None and pipeline.skin.touched:
+            placed.append((t, found))
+        return found
+
+    ran.daemon.pose = pose  # type: ignore[method-assign]
+    track.at = placing  # type: ignore[method-assign]
+    ran.run()
+    error_m = add_m(ran.rig.model.scene, pipeline.estimate.map, ran.rig.world.truth)[1]
+    t, x, y, *_ = np.array(told).T
+    off = [sensor[:2] - [np.interp(at_s, t, x), np.interp(at_s, t, y)] for at_s, sensor in placed]
+    most_m = np.linalg.norm(off, axis=1).max()
+    return 1e3 * error_m, 1e3 * float(most_m), pipeline.inputs.scans_waited
+
+
+def test_scans_after_the_last_pose_are_placed_within_what_the_robot_errs() -> None:
+    """By the speed of the last two."""
+    waited_mm, exact_mm, waited = of_late_poses(0.0)
+    placed_mm, off_mm, not_waited = of_late_poses(EXTRAPOLATE_S)
+    assert waited > 100
+    assert not_waited < 0.1 * waited
+    assert exact_mm < 1e-6
+    assert off_mm < 0.5 * 1e3 * SensorPoseConfig().sigma_m
+    assert max(waited_mm, placed_mm) < SHORT.expect.error_mm

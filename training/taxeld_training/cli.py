@@ -9,7 +9,7 @@ from taxeld import command_line
 from taxeld.command_line import Argument, Arguments, Run, flag, given
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_hil import options
+from taxeld_hil import jobs
 from taxeld_hil.objects import HEIGHT_M
 
 QUESTIONS = "works, whole, map, which, advice, push, published, samplers, real"
@@ -94,7 +94,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.trials import run
     from taxeld_training.trials.questions import Selection, names
 
-    layouts = tuple(options.layouts(args.layout))
+    layouts = tuple(jobs.layouts(args.layout))
     seeds = _seeds(args.seeds)
     asked = Selection(args.quick, seeds, args.objects, args.cells, layouts, args.data)
     wanted = args.question or names(recorded=args.data is not None)
@@ -156,13 +156,13 @@ COMMANDS: dict[Run, Arguments] = {
     _evaluate: (
         given("question", "QUESTION", f"{QUESTIONS} (default: all)", nargs="*"),
         given("--out", "DIR", "for the tables", Path, default=Path("docs/results")),
-        options.WORKERS,
-        given("--memory", "DIR", "finished jobs", Path, default=options.MEMORY),
+        jobs.WORKERS,
+        given("--memory", "DIR", "finished jobs", Path, default=jobs.MEMORY),
         flag("--quick", "a smoke run; its figures mean nothing"),
         given("--seeds", "N", "trials of each cell, or FIRST-LAST (40-79)", default=""),
         given("--objects", "A,B", "in place of the question's", _names, default=()),
         given("--cells", "A,B", "that begin so (moved), methods, guides", _names, default=()),
-        options.layout_option("a ring of 5 rows"),
+        jobs.layout_option("a ring of 5 rows"),
         given("--data", "DIR", "of 'real': what examples/nao_recordings.py makes", Path),
     ),
 }

@@ -1,4 +1,4 @@
-"""Scenarios of several links."""
+"""Scenarios of several links, and of several objects."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +15,12 @@ from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault
 from taxeld_hil.world.world import world_of
-from tests.hil.rig import passing
+from tests.hil.rig import DEMO, passing
+from tests.hil.test_faults import judged
 
 pytestmark = pytest.mark.check
 
-LINKS = scenario.load("links")
+LINKS, WHICH = scenario.load("links"), scenario.load("which")
 
 
 @pytest.mark.parametrize("one_bus", [True, False])
@@ -89,3 +90,38 @@ def test_several_layouts_are_links() -> None:
     assert LINKS.on("", "a", "b").layouts == ("a", "b")
     assert LINKS.on("", LINKS.layouts[1]).links == 1
     assert LINKS.on("", "").layouts == LINKS.layouts
+
+
+@pytest.mark.parametrize(
+    ("thing", "name"),
+    [("box", "003_cracker_box"), ("mug", "025_mug"), ("drill", "035_power_drill")],
+)
+def test_each_of_three_objects_is_told_from_the_others_and_its_session_replays_to_it(
+    thing: str, name: str, tmp_path: Path
+) -> None:
+    _, graded = passing(replace(WHICH.touching(thing), contacts=12), tmp_path)
+    assert [c.detail for c in graded.checks if c.name == "which object"] == [thing]
+    replay = Replay(tmp_path)
+    *_, last = replay
+    estimate = last.estimate
+    assert replay.names[estimate.object] == name
+    assert estimate.objects[estimate.object] > 0.99
+    assert estimate.status is Status.CONVERGED
+
+
+def test_an_estimate_of_a_wrong_object_is_misleading_wherever_it_is(tmp_path: Path) -> None:
+    right, wrong = (
+        judged(tmp_path, [(1.0, Status.CONVERGED, 0.0)], of=WHICH, object=number)
+        for number in (2, 0)
+    )
+    assert right.passed
+    assert wrong.failed == ["which object", "nothing misleading"]
+    assert wrong.checks[0].detail == "box"
+    assert [each.figures["misleading"]["estimates"] for each in (right, wrong)] == [0, 1]
+
+
+def test_another_object_takes_the_place_of_its_like_among_those_that_are_known() -> None:
+    """So that a daemon never has two bundles of one object."""
+    assert DEMO.touching("drill").known == ("drill",)
+    assert WHICH.touching("mug").known == WHICH.bundles
+    assert replace(WHICH, bundles=("box", "mug")).touching("drill").known == ("box", "mug", "drill")
