@@ -116,8 +116,8 @@ def convert(folder: Path, arm: str, part: str) -> dict[str, Any]:
     """The recording of an arm and the part that it touches."""
 
     def touches(one: str, name: str, side: str) -> list[Any]:
-        path = folder / f"{one}_{name}.mat"
-        return [*loadmat(path, squeeze_me=True, struct_as_record=False)[side]]
+        with (folder / f"{one}_{name}.mat").open("rb") as file:
+            return [*loadmat(file, squeeze_me=True, struct_as_record=False)[side]]
 
     of_arm, of_part, (links, names) = touches(arm, part, arm), touches(arm, part, part), PARTS[part]
     own = [f"{arm[0].upper()}{name}" for name in JOINTS]
@@ -151,4 +151,9 @@ def main(repository: str, out: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
+    try:
+        main(*sys.argv[1:])
+    except OSError as error:
+        sys.exit(str(error))

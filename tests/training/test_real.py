@@ -1,23 +1,43 @@
 """Recordings of a real skin as trials and as a session, by a stand-in that is made from figures."""
 
+import copy
 import json
 import runpy
+import shutil
+import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
 
 from taxeld.api import Replay
+from taxeld.errors import SetupError
+from taxeld.skin.fit import RELIABLE
 from taxeld.source import session
+from taxeld.stream import topics
+from taxeld_hil.grade.grade import grade
+from taxeld_hil.grade.session import PUBLISHED, Run, add
+from taxeld_hil.scenario.scenario import Scenario
 from taxeld_training.cli import main
 from taxeld_training.trials import real, real_picture
 from taxeld_training.trials.real import Arm
-from tests.rig import real_skin, recorded_session
-from tests.rig.commands import refused
+from tests.rig import real_skin
+from tests.rig.array_skin import bound
+from tests.rig.clocks import until
+from tests.rig.commands import printed, refused
+from tests.rig.configurations import configuration
+from tests.rig.processes import taxeld
+from tests.rig.sockets import Sockets
 
 KINDS = ["knows", "touched", "prior"]
 ARM, PART = "left_arm", "head"
 EXAMPLES = Path(__file__).parents[2] / "examples"
+WRITER = runpy.run_path(str(EXAMPLES / "nao_session.py"))
+Said = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +50,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def arm(folder: Path) -> Arm:
     return real.arms_of(folder)[ARM]
+
+
+@pytest.fixture(scope="module")
+def recorded(arm: Arm, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its first taxel never answers."""
+    made, less = tmp_path_factory.mktemp("recorded") / "session", copy.copy(arm)
+    less.skin = arm.skin._replace(share=np.append(0.0, arm.skin.share[1:]))
+    WRITER["write"](less, "torso", made, tilt=0.1, seed=1)
+    return made
 
 
 def test_half_a_tells_which_taxels_answer_and_from_where(arm: Arm, tmp_path: Path) -> None:
@@ -87,17 +116,89 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     line = refused(*asked, "--data", tmp_path, main=main)
     assert "left_arm_head.npz" in line
     assert "nao_recordings.py" in line
+    for half, said in (("a", "left_arm_head.npz is no recording"), ("c", "not c")):
+        with pytest.raises(SetupError, match=said):
+            WRITER["main"](tmp_path, "left_arm_head", half, tmp_path / "session")
 
 
-def test_a_session_of_recorded_touches_is_replayed_touch_by_touch(arm: Arm, tmp_path: Path) -> None:
-    """Whether the part is found is another question: binary readings may mislead."""
-    recorded_session.write(arm, "torso", tmp_path / "session", tilt=0.1, seed=1)
-    estimates = [outcome.estimate for outcome in Replay(tmp_path / "session")]
-    assert sorted({each.contacts for each in estimates} - {0}) == [
-        *range(1, 1 + recorded_session.TOUCHES)
-    ]
-    assert np.isfinite([each.map for each in estimates]).all()
-    assert session.truth(tmp_path / "session") is not None
+def replayed(place: Path) -> list[Said]:
+    return [json.loads(line) for line in printed("replay", place).splitlines()]
+
+
+def ran(place: Path) -> list[Said]:
+    """By a daemon to which each scan is sent until it says so."""
+    scans = map(json.loads, (place / session.ARRAY).read_text("ascii").splitlines())
+    poses = session.read_poses(place / session.POSES)
+    at = {name: {"endpoint": f"ipc://{place}/{name}"} for name in ("skin", "robot")}
+    config = configuration(
+        place,
+        source={"kind": "array", **at["skin"]},
+        sensor_pose={"sigma_m": real.ROBOT_M, **at["robot"]},
+        skin={"layout": "arm.csv", "calibration": "arm.toml"},
+        scene={"bundle": "part"},
+    )
+    said: list[Said] = []
+    with Sockets() as sockets, taxeld("run", config) as daemon:
+        ends = (bound(sockets.context, each["endpoint"]) for each in at.values())
+        skin, robot = map(sockets.keep, ends)
+        heard = sockets.subscriber(f"ipc://{place}/stream", topics.ESTIMATE)
+
+        def is_heard(pose: Said, scan: Said, begun_s: float) -> bool:
+            assert daemon.poll() is None
+            now = {"t": time.time()}
+            robot.send_multipart([b"/robot/sensor_pose", msgpack.packb(pose | now), b"0.0"])
+            skin.send(msgpack.packb(scan | now))
+            time.sleep(0.03)
+            while heard.poll(0):
+                said.append(msgpack.unpackb(heard.recv_multipart()[1]))
+            now = said[-1] if said else {"t": 0.0}
+            return now["t"] >= begun_s and now["contact"] == any(scan["z"])
+
+        try:
+            for (_, *pose), scan in zip(poses, scans, strict=True):
+                planar = dict(zip(("x", "y", "theta"), pose, strict=True))
+                until(partial(is_heard, planar, scan, time.time()))
+        finally:
+            daemon.kill()
+    return said
+
+
+@pytest.mark.parametrize("way", [replayed, pytest.param(ran, marks=pytest.mark.check)])
+def test_a_session_has_each_recorded_touch_and_is_graded(
+    way: Callable[[Path], list[Said]], recorded: Path, tmp_path: Path
+) -> None:
+    """Whether the part is found is another question."""
+    place = shutil.copytree(recorded, tmp_path / "session")
+    said = way(place)
+    count = range(1, 1 + WRITER["TOUCHES"])
+    assert {each["contacts"] for each in said} - {0} == {*count}
+    with (place / PUBLISHED).open("wb") as file:
+        for each in said:
+            add(file, each["t"], topics.ESTIMATE, msgpack.packb(each))
+    scenario = Scenario(str(place / "part"), layout=str(place / "arm.csv"), transport="array")
+    Run("recorded", 0, "array", "real", scenario, said[-1]["t"], ()).write(place)
+    grade(place).write(place)
+    told = json.loads((place / "grade.json").read_text("utf-8"))
+    assert (told["estimates"], told["contacts"]) == (len(said), count[-1])
+    assert 0 <= told["misleading"]["estimates"] <= told["sure"]
+
+
+def test_a_sessions_calibration_has_the_shares_of_answers_of_half_a(
+    arm: Arm, recorded: Path
+) -> None:
+    """A taxel that never answers is not live."""
+    skin, share = Replay(recorded).pipeline.skin, np.tile(arm.skin.share, real.BANDS)
+    share[:: len(arm.skin.share)] = 0.0
+    assert skin.noise is not None
+    assert np.allclose(skin.noise.answers, np.clip(share, 1.0 - RELIABLE, RELIABLE), atol=1e-5)
+    assert skin.faults()["stuck_taxels"] == np.flatnonzero(share < real.LEAST_SHARE).tolist()
+
+
+@pytest.mark.check
+def test_a_recorded_session_is_seen(recorded: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    assert "written" in printed("view", recorded, "--save", tmp_path / "a.rrd")
+    assert (tmp_path / "a.rrd").stat().st_size > 300_000  # of one touch it has 150 000
 
 
 def test_the_arms_of_a_robot_are_mirrored() -> None:
