@@ -126,8 +126,6 @@ def left(skin: VirtualSkin) -> None:
 FIRST, *REST = MODULES
 FAULTS: list[tuple[str, str, dict[str, Any]]] = [
     # the rule that does not hold, what it says, the skin
-    ("taxels dead", "T4 of module 3 (hub 1, position 2)",
-     {"prepare": lambda skin: skin.counts.fixed.update({(3, 4): 0})}),
     ("press answers", "modules 2 and 4 are swapped",
      {"prepare": lambda skin: skin.wired_as.update({2: 4, 4: 2})}),
     ("press answers", "2 of 4 modules answered", {"prepare": left}),

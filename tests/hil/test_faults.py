@@ -38,9 +38,9 @@ TAXELS = {0: 1, 1: 2, 2: 4, 3: 5}
 WIDE = "cylinder:rows=8,columns=16,radius_m=0.04,pitch_m=0.015"  # two packets a scan
 
 
-def injector(*faults: Fault, seed: int = 0) -> tuple[Injector, Ledger]:
+def injector(*faults: Fault) -> tuple[Injector, Ledger]:
     ledger = Ledger(MODULES, 0.05)
-    return Injector(faults, seed, ledger, CHANNELS, TAXELS), ledger
+    return Injector(faults, 0, ledger, CHANNELS, TAXELS), ledger
 
 
 def units(number: int) -> list[WireUnit]:

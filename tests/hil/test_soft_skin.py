@@ -13,7 +13,7 @@ from taxeld.config.gate import Given
 from taxeld.model import se2
 from taxeld.model.response import response
 from taxeld_hil.scenario import scenario
-from taxeld_hil.scenario.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL
+from taxeld_hil.scenario.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL, MeshConfig
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.skin import (
@@ -111,8 +111,8 @@ SLOW = replace(PLAIN, residue_slow=(0.01, 0.01), residue_slow_s=30.0, loading_s=
 ZERO, PRESS = np.zeros(1), np.array([0.8])
 
 
-def foam(config: object, taxels: int = 1, seed: int = 0) -> Foam:
-    return Foam(config, taxels, np.random.default_rng(seed))  # type: ignore[arg-type]
+def foam(config: MeshConfig) -> Foam:
+    return Foam(config, 1, np.random.default_rng(0))
 
 
 def loop(of: Foam, speed: float) -> Floats:
@@ -148,7 +148,7 @@ def test_while_a_press_deepens_nothing_is_added() -> None:
 
 @pytest.mark.parametrize(("config", "share", "tau_s"), [(FAST, 0.02, 1.0), (SLOW, 0.01, 30.0)])
 def test_what_stays_of_a_long_press_is_its_share_and_decays_with_its_time_constant(
-    config: object, share: float, tau_s: float
+    config: MeshConfig, share: float, tau_s: float
 ) -> None:
     of = foam(config)
     end = held(of, 10.0)
