@@ -120,12 +120,6 @@ def missing(hub: str) -> str:
 
 def write(path: Path, tables: Mapping[int, Sequence[Module]]) -> None:
     """Write the list of the hubs' modules to a new file, ready for `[source]`. Raises OSError."""
-    with path.open("x", encoding="utf-8") as file:
-        file.write(text(tables))
-
-
-def text(tables: Mapping[int, Sequence[Module]]) -> str:
-    """The list of the hubs' modules as TOML."""
     columns = "[SUI, mask, hub]" if len(tables) > 1 else "[SUI, mask]"
     lines = [
         f"# {columns} in the order in which the modules send: for [source] of a configuration that",
@@ -135,4 +129,5 @@ def text(tables: Mapping[int, Sequence[Module]]) -> str:
     for ihb, modules in sorted(tables.items()):
         hub = f", {ihb}" if len(tables) > 1 else ""
         lines += [f"  [{module.sui or 0}, 0x{module.mask:03X}{hub}]," for module in modules]
-    return "\n".join([*lines, "]"]) + "\n"
+    with path.open("x", encoding="utf-8") as file:
+        file.write("\n".join([*lines, "]", ""]))

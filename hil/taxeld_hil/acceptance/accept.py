@@ -22,6 +22,7 @@ from taxeld.stream.link import Link
 from taxeld_hil.acceptance.checks import rules
 from taxeld_hil.acceptance.received import Received, Say, pressed_by_hand, receive
 from taxeld_hil.rules import Rule, failed, lines
+from taxeld_protocol.decoder import Decoder
 
 SECONDS_MIN = 5.0  # 100 scans at the usual rate
 SECONDS_MAX = 600.0  # all scans are held
@@ -74,11 +75,10 @@ def run(
         (out / "report.txt").write_text(text, encoding="utf-8")
         as_text = json.dumps(report(target, when, got, found), indent=1)
         (out / "report.json").write_text(as_text + "\n", encoding="utf-8")
-        connected = [m for table in got.tables.values() for m in table if m.channels]
-        named = all(m.sui is not None and not m.fault for m in connected)
-        if connected and named and config.kind != "array":
-            path = out / modules.FILE
-            path.write_text(modules.text(got.tables), encoding="utf-8")
+        decoder, path = inputs.sources[0].decoder, out / modules.FILE
+        whole = modules.complete(decoder) if isinstance(decoder, Decoder) else {}
+        if tables := {hub: whole[hub] for hub in got.tables if hub in whole}:
+            modules.write(path, tables)
             say(f"the hub's modules are listed in {path}, for source.modules")
     except OSError as error:  # of the files: the source handles a device's errors
         raise SetupError(f"--out: cannot write {out} ({error.strerror})") from None
