@@ -136,7 +136,7 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
     assert any(line.startswith("   16 of 16; next with the skin's side at ") for line in said)
     assert_right(read(out), skin)
     # another attempt has a session of its own
-    place = Guided(load(config), config, out, 1.5, 16, said.append).directory
+    place = Guided(load(config), config, out).directory
     assert (place.name, (tmp_path / "skin.session").is_dir()) == ("skin.session-2", True)
 
 

@@ -7,7 +7,6 @@ calibration's file, and beside it the result in words.
 import argparse
 import signal
 import time
-from collections.abc import Callable
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -58,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         config = session.config_of(directory)
     else:
         config = load(args.source)
-        guided = Guided(config, args.source, args.out, IDLE_S, PRESSES, _say)
+        guided = Guided(config, args.source, args.out)
         signal.signal(signal.SIGTERM, guided.stop)
         signal.signal(signal.SIGINT, guided.stop)
         if not guided.run():
@@ -90,15 +89,7 @@ def _write(result: Result, out: Path) -> str:
 class Guided:
     """A recording of a skin and a robot that asks for presses, and counts them as the fit will."""
 
-    def __init__(
-        self,
-        config: Config,
-        config_path: Path,
-        out: Path,
-        idle_s: float,
-        presses: int,
-        say: Callable[[str], None],
-    ) -> None:
+    def __init__(self, config: Config, config_path: Path, out: Path) -> None:
         """`out`: file of the calibration; the session is recorded beside it.
 
         Raises:
@@ -114,7 +105,6 @@ class Guided:
         self.directory = next(place for place in places if not (place / session.ABOUT).exists())
         self._recording = Recording(config, config_path, self.directory)
         self._observer = Observer(prepared(config, time.time()).pipeline)
-        self._idle_s, self._wanted, self._say = idle_s, presses, say
         self._begun_s = self._next_look_s = time.monotonic()
         self._line = ""  # that was said last
         self._ends = False
@@ -125,19 +115,17 @@ class Guided:
 
     def run(self) -> bool:
         """Record; → whether all presses are there."""
-        self._say(
-            f"1. touch nothing for {self._idle_s:.0f} s; the object is held fast, the sensor away"
-        )
-        self._say(self._recording.run(lambda: self._ends, self._on_poll))
+        _say(f"1. touch nothing for {IDLE_S:.0f} s; the object is held fast, the sensor away")
+        _say(self._recording.run(lambda: self._ends, self._on_poll))
         held = len(self._observer.found()[0])
-        if held >= self._wanted:
+        if held >= PRESSES:
             return True
         if self._recording.failed:
-            self._say("the disk took no more; make room and begin again")
+            _say("the disk took no more; make room and begin again")
             return False
         more = f"; what was recorded can be: taxeld calibrate {self.directory} --out FILE"
-        self._say(
-            f"ended after {held} of {self._wanted} presses: nothing is fitted"
+        _say(
+            f"ended after {held} of {PRESSES} presses: nothing is fitted"
             f"{more if held >= LEAST_PRESSES else ''}"
         )
         return False
@@ -156,29 +144,29 @@ class Guided:
             self._next_look_s, before = now_s + LOOK_S, self._line
             self._line = self._now()
             if self._line != before:
-                self._say(self._line)
+                _say(self._line)
 
     def _now(self) -> str:
         """What the user has to know at this time. It is said when it changes."""
-        observer, wanted, done_s = self._observer, self._wanted, self._observer.idle_s
-        if done_s < self._idle_s:
+        observer, done_s = self._observer, self._observer.idle_s
+        if done_s < IDLE_S:
             if observer.is_touched:
                 raise SetupError(
-                    f"calibrate: something was touched after {done_s:.0f} of {self._idle_s:.0f} s; "
+                    f"calibrate: something was touched after {done_s:.0f} of {IDLE_S:.0f} s; "
                     "keep the skin clear and begin again; what was recorded can be removed"
                 )
-            return f"   {done_s // TELL_S * TELL_S:.0f} of {self._idle_s:.0f} s"
+            return f"   {done_s // TELL_S * TELL_S:.0f} of {IDLE_S:.0f} s"
         if observer.pipeline.poses.latest_t < 0.0:
             return "   no pose has come from the robot yet (sensor_pose.endpoint)"
         presses, unheld = observer.found()
         if not presses and not unheld:
             return (
-                f"2. press the object {wanted} times, 4 to 5 mm deep, each time still for a "
+                f"2. press the object {PRESSES} times, 4 to 5 mm deep, each time still for a "
                 "second; go round it, and turn the sensor so that another side of the skin presses"
             )
-        self._ends |= len(presses) >= wanted
+        self._ends |= len(presses) >= PRESSES
         felt = np.bincount(sides(observer.model, presses), minlength=8)
         least = np.where(covered(observer.model), felt, len(presses) + 1).argmin()
         also = f" ({unheld} more were not held still)" if unheld else ""
         side = f"next with the skin's side at {EIGHTH_DEG * least:.0f}°"
-        return f"   {len(presses)} of {wanted}{also}; {side}"
+        return f"   {len(presses)} of {PRESSES}{also}; {side}"
