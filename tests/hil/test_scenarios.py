@@ -161,16 +161,8 @@ def test_a_run_on_hardware_grades_what_it_can_and_names_what_it_cannot(tmp_path:
     with subprocess.Popen([*HARNESS, *command, "--out", str(tmp_path / "session")]) as skin:
         try:
             until(link.exists)
-            done = cli(
-                "run",
-                str(tmp_path / "s.toml"),
-                "--target",
-                f"slcan:{link}",
-                "--poses",
-                poses,
-                "--out",
-                str(tmp_path / "out"),
-            )
+            line = ["run", str(tmp_path / "s.toml"), "--target", f"slcan:{link}", "--poses", poses]
+            done = cli(*line, "--out", str(tmp_path / "out"))
         finally:
             skin.kill()
     grade = json.loads((tmp_path / "out" / "grade.json").read_text(encoding="utf-8"))

@@ -266,10 +266,8 @@ def press(got: Received) -> Iterator[Rule]:
         yield Rule("press", "modules", why, "", None)
         return
     full, answers = got.full_scale_counts, {p.asked: p.answered for p in got.presses}
-    wrong, strength = (
-        [],
-        {p.asked: float(p.peak.max()) for p in got.presses if p.answered is not None},
-    )
+    strength = {p.asked: float(p.peak.max()) for p in got.presses if p.answered is not None}
+    wrong = list[str]()
     for asked, answered in answers.items():
         if answered is None:
             wrong.append(f"{got.module(asked)} felt nothing")
