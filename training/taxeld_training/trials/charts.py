@@ -52,7 +52,7 @@ def front(rows: Sequence[Row], path: Path) -> None:
     for axes in (over_all, single):
         _plain(axes, 9)
         axes.set_xscale("log")
-        axes.set_ylim(bottom=1.0)
+        axes.set_ylim(bottom=0.0)
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
