@@ -1,5 +1,7 @@
 """Tables, pages and charts, from the rows of answers."""
 
+import re
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +9,7 @@ import pytest
 
 from taxeld.errors import SetupError
 from taxeld_hil import jobs
-from taxeld_training.trials import charts, questions, tables
+from taxeld_training.trials import charts, questions, run, tables
 
 ROOT = Path(__file__).parents[2]
 
@@ -112,3 +114,22 @@ def test_charts_are_small_and_drawn_again_with_the_same_bytes(name: str, tmp_pat
     assert data.startswith(b"\x89PNG\r\n\x1a\n")
     assert 5_000 < len(data) < 300_000
     assert data == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_file_names_its_commit_which_answers_in_docs_do_not_change(tmp_path: Path) -> None:
+    def git(*words: str) -> None:
+        person = ("-c", "user.name=taxeld", "-c", "user.email=taxeld@example.org")
+        subprocess.run(["git", "-C", str(tmp_path), *person, *words], check=True)
+
+    (tmp_path / "docs").mkdir()
+    for name in ("code.py", "docs/map.json"):
+        (tmp_path / name).write_text("1", "utf-8")
+    git("init", "-q")
+    git("add", ".")
+    git("commit", "-qm", "Begin")
+    clean = run.commit(tmp_path)
+    assert re.fullmatch("[0-9a-f]{8}", clean)
+    (tmp_path / "docs" / "map.json").write_text("2", "utf-8")
+    assert run.commit(tmp_path) == clean
+    (tmp_path / "code.py").write_text("2", "utf-8")
+    assert run.commit(tmp_path) == f"{clean}-dirty"

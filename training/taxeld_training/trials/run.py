@@ -116,11 +116,28 @@ def _records(played: Sequence[Played], path: Path) -> Path:
 
 def _made(name: str) -> dict[str, str]:
     """The commit, the command and the date of a file."""
-    words = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    asked = subprocess.run(words, capture_output=True, text=True, check=False)  # noqa: S603
     command = " ".join(["taxeld-train", *sys.argv[1:]])
     return {
-        "commit": asked.stdout.strip() or "unknown",
+        "commit": commit(Path(__file__).parent),
         "command": command if name in command else f"taxeld-train evaluate {name}",
         "date": date.today().isoformat(),
     }
+
+
+def commit(place: Path) -> str:
+    """The commit of a folder's repository; `-dirty` if a file has changed since, outside of `docs`,
+    where answers are written."""
+
+    def said(*words: str) -> str:
+        asked = subprocess.run(  # noqa: S603
+            ["git", "-C", str(place), *words],  # noqa: S607
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        return asked.stdout.strip()
+
+    changed = said(
+        "status", "--porcelain", "--untracked-files=no", "--", ":/", ":(top,exclude)docs"
+    )
+    return (said("rev-parse", "--short=8", "HEAD") or "unknown") + "-dirty" * bool(changed)
