@@ -64,6 +64,11 @@ def test_a_table_has_a_line_a_value_and_columns_of_figures_by_touch_or_label(
     assert tables.text(ROWS, spec) == table.strip()
 
 
+def test_an_error_that_is_not_known_leaves_its_cell_empty() -> None:
+    unknown = row([0, 1], object="mug") | {"median_mm": [None, 0.2], "q90_mm": [None, 1.0]}
+    assert tables.text([unknown], "object | mm 1 2").endswith("| mug |  | 0.2 (1) |")
+
+
 def test_a_share_is_never_rounded_to_all_or_none() -> None:
     shares = [tables.share(count, 1000) for count in (0, 1, 4, 996, 999, 1000)]
     assert shares == ["0 %", "1 %", "1 %", "99 %", "99 %", "100 %"]

@@ -94,7 +94,8 @@ class Column:
     def _after(self, row: Row, n: int) -> str:
         own = self.figure.removesuffix("±")
         if own == "mm":
-            return f"{row['median_mm'][n - 1]:.1f} ({row['q90_mm'][n - 1]:.0f})"
+            middle, most = (row[name][n - 1] for name in ("median_mm", "q90_mm"))
+            return "" if middle is None else f"{middle:.1f} ({most:.0f})"
         value = row[own][n - 1] if own in row else None
         if value is None:
             return ""
