@@ -88,7 +88,7 @@ class Stand:
         self._ready = opened.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
         self._ready.bind(f"{place}/notify")
         where = f"{place}/skin", f"ipc://{place}/poses", place
-        text = settings.text(touches, 0, *where, 'particles_max = 100\n[log]\nlevel = "error"')
+        text = settings.text(touches, 0, *where) + 'particles_max = 100\n[log]\nlevel = "error"\n'
         tables = (checkout / "daemon/taxeld/config/tables.py").read_text(encoding="utf-8")
         for now, then in OLDER.items() if "framing:" in tables else ():
             text = text.replace(now, then)

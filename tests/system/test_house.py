@@ -2,8 +2,12 @@
 
 import json
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
+
+import pytest
 
 from taxeld import __version__
 from taxeld.config import file as config_file
@@ -83,3 +87,11 @@ def test_the_lock_pins_every_dependency_at_the_version_that_was_tested() -> None
     for entry in re.split(r"\n(?=\S)", lock)[1:]:
         assert re.fullmatch(r"[\w.-]+==\S+( \\\n    --hash=sha256:[0-9a-f]{64})+\n?", entry), entry
     assert "://" not in lock
+
+
+@pytest.mark.check
+def test_the_benchmark_of_the_service_runs() -> None:
+    command = [sys.executable, "benchmarks/service.py", "--seconds", "0.5"]
+    ran = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert "touched all the time: a core's share" in ran.stdout
