@@ -40,18 +40,18 @@ def test_an_answer_goes_on_where_it_was_cut_and_more_seeds_add_to_it(
     block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(run, "BLOCK", 2)
-    few = asked(tmp_path, block, "works", "advice", "--cells", "exact,random", "--seeds", "2")
+    few = asked(tmp_path, block, "works", "advice", "--cells", "typical,random", "--seeds", "2")
     assert "| block | " in capsys.readouterr().out
     counts = {"works": 3, "works touches": 16, "advice": 3, "advice touches": 16}
     assert {key: len(rows) for key, rows in few.items()} == counts
     head = json.loads((tmp_path / "out" / "works.json").read_text("utf-8"))
     assert {"question", "commit", "command", "date"} < head.keys()
     before = written_at(tmp_path / "memory")
-    again = asked(tmp_path, block, "works", "--cells", "exact", "--seeds", "2")
+    again = asked(tmp_path, block, "works", "--cells", "typical", "--seeds", "2")
     assert again["works"] == few["works"]
     jobs = {path: at for path, at in before.items() if path.suffix == ".json"}
     assert len(jobs) == 1, "two questions share their trials"
-    more = asked(tmp_path, block, "works", "--cells", "exact", "--seeds", "4")
+    more = asked(tmp_path, block, "works", "--cells", "typical", "--seeds", "4")
     assert more["works touches"][:16] == few["works touches"]
     assert jobs.items() <= written_at(tmp_path / "memory").items()
 
@@ -74,7 +74,7 @@ def test_expect_build_and_works_have_the_same_figures_of_the_same_trials(
 
 
 def test_guides_are_compared_from_the_same_first_touch(block: Path, tmp_path: Path) -> None:
-    few = ("advice", "--cells", "exact,straight,advised", "--seeds", "1", "--layout", RING)
+    few = ("advice", "--cells", "typical,straight,advised", "--seeds", "1", "--layout", RING)
     touches = asked(tmp_path, block, *few)["advice touches"]
     straight, advised = (
         [each for each in touches if each["guide"] == name] for name in ("straight", "advised")
