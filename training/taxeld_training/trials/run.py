@@ -137,7 +137,5 @@ def commit(place: Path) -> str:
         )
         return asked.stdout.strip()
 
-    changed = said(
-        "status", "--porcelain", "--untracked-files=no", "--", ":/", ":(top,exclude)docs"
-    )
+    changed = said("status", "--porcelain", "-uno", "--", ":/", ":(top,exclude)docs")
     return (said("rev-parse", "--short=8", "HEAD") or "unknown") + "-dirty" * bool(changed)

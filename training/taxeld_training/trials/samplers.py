@@ -34,7 +34,9 @@ LEARNED: dict[str, Variant] = {  # proposals that are trained here
     "paper": variants.paper(),
 }
 RING = "cylinder:rows=5,columns={},radius_m=0.04,pitch_m=0.015"
-DECIDES = (  # code that decides how far samplers are from the exact posterior
+DECIDES = (  # code that decides what samplers learn, and how far off they are
+    "taxeld/config/tables.py",
+    "taxeld/estimator/scans.py",
     "taxeld/model/*.py",
     "taxeld/proposals/*.py",
     "taxeld_hil/objects/*.py",
@@ -58,7 +60,8 @@ def files(each: Iterable[Wanted], effort: float, memory: Path, run: Run) -> dict
         if name not in LEARNED:
             continue
         words = f"{name}, {subject.name} on {jobs.layout_name(skin)}"
-        job = Job(words, train, (subject, skin, variants.trained_with(LEARNED[name], effort)))
+        variant = variants.trained_with(LEARNED[name], effort)
+        job = Job(words, train, (subject, skin, variant), code=jobs.code(DECIDES))
         path = memory.resolve() / f"{job.key}.onnx"
         if not path.is_file():
             jobs.forget(job, memory)
@@ -80,8 +83,7 @@ def train(subject: Subject, skin: str, variant: Variant, file: str) -> dict[str,
 
 
 def rows(question: Question, memory: Path, run: Run) -> list[Row]:
-    """How far the draws of each proposal are from the exact posterior, on rings of some columns: a
-    row an object, ring and proposal."""
+    """How far proposals' draws are from the exact posterior: a row an object, ring and proposal."""
     grid = [
         (Subject(name), RING.format(n), n) for name in question.objects for n in question.columns
     ]
