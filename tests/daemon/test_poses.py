@@ -51,13 +51,14 @@ def test_poses_back_in_time_or_not_finite_are_rejected() -> None:
     assert track.latest_t == 1.0
 
 
-def test_a_pose_that_jumped_is_not_mixed_with_its_neighbours() -> None:
+def test_a_pose_that_jumped_is_not_mixed_with_its_neighbours_and_is_no_speed() -> None:
     """Between a right pose and a wrong one lie places that look right and are not."""
     track = PoseTrack()
     for t, x in ((1.00, 0.3), (1.01, 2.3), (1.02, 0.3)):
         track.add(t, x, 0.0, 0.0)
     placed = [track.at(t) for t in (1.004, 1.006, 1.014, 1.016)]
     assert [pose[0] for pose in placed if pose is not None] == [0.3, 2.3, 2.3, 0.3]
+    assert track.sd_m(1.016, 0.0) == 0.0
 
 
 def test_a_robot_whose_clock_is_set_back_is_followed() -> None:
@@ -143,13 +144,6 @@ def test_a_scan_that_may_be_late_counts_the_motion_before_it() -> None:
     assert track.sd_m(0.16, 0.08) == pytest.approx(0.1 * 0.08 / math.sqrt(3.0))
 
 
-def test_a_pose_that_jumped_is_no_speed() -> None:
-    track = PoseTrack()
-    for t, x in ((1.00, 0.3), (1.01, 2.3), (1.02, 0.3)):
-        track.add(t, x, 0.0, 0.0)
-    assert track.sd_m(1.016, 0.0) == 0.0
-
-
 @given(st.lists(st.floats(0.0, 0.2), min_size=30, max_size=30))
 def test_an_unstamped_scan_is_late_by_what_it_was_held_up(held_s: list[float]) -> None:
     """As long as one of the last was not, and up to a period; what waits is read in its order."""
@@ -224,15 +218,12 @@ class Sweep:
             yield from pipeline.advance(scans, START_S + t + 0.001)
 
 
-def misleads(box: Bundle, outcome: Outcome) -> bool:
-    """Whether an estimate is sure, and 10 mm off or beyond its own radius."""
-    found = outcome.estimate
-    error_m = add_m(box.model.scene, found.map, TRUTH)[1]
-    return is_sure(outcome) and error_m > min(found.radius_m, 0.01)
+def error_m(box: Bundle, outcome: Outcome) -> float:
+    return add_m(box.model.scene, outcome.estimate.map, TRUTH)[1]
 
 
-def is_sure(outcome: Outcome) -> bool:
-    return outcome.estimate.status is Status.CONVERGED
+def sure(swept: list[list[Outcome]]) -> list[Outcome]:
+    return [each for each in chain(*swept) if each.estimate.status is Status.CONVERGED]
 
 
 def test_with_one_pose_of_nine_estimates_are_right_and_less_sure_for_it(
@@ -240,15 +231,14 @@ def test_with_one_pose_of_nine_estimates_are_right_and_less_sure_for_it(
 ) -> None:
     """Than those of a filter that holds the places between poses for exact."""
 
-    def thinned() -> list[list[Outcome]]:
+    def swept() -> list[list[Outcome]]:
         return [list(Sweep(box).felt_by(placed(box), k)) for k in range(0, EVERY, 2)]
 
-    thin = thinned()
-    assert not any(misleads(box, outcome) for outcome in chain(*thin))
-    for outcomes in thin:
-        assert add_m(box.model.scene, outcomes[-1].estimate.map, TRUTH)[1] < 0.01
+    thin = swept()
+    assert all(error_m(box, each) < min(each.estimate.radius_m, 0.01) for each in sure(thin))
+    assert all(error_m(box, outcomes[-1]) < 0.01 for outcomes in thin)
     monkeypatch.setattr(PoseTrack, "sd_m", lambda *_: 0.0)
-    assert sum(map(is_sure, chain(*thin))) < sum(map(is_sure, chain(*thinned())))
+    assert len(sure(thin)) < len(sure(swept()))
 
 
 def why_not(box: Bundle, m_s: float, age_s: float, source: str = CAN, late_s: float = 0.0) -> Why:
