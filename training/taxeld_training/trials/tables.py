@@ -24,7 +24,7 @@ HEADS = {
     "mm": "mm after",
     "near": "within 20 mm",
     "covered": "within its radius",
-    "path_mm": "mm (10 – 90 %)",
+    "path_mm": "mm (10–90 %)",
     "misleading_at": "misleading after",
     "ece": "error of p",
     "to_sure": "touches to sure",
@@ -87,7 +87,7 @@ class Column:
         if value is None:
             return ""
         if own == "path_mm":
-            return f"{value[1]:.1f} ({value[0]:.1f} – {value[2]:.1f})"
+            return f"{value[1]:.1f} ({value[0]:.1f}–{value[2]:.1f})"
         said = f"{value:.3g}" if isinstance(value, float) else str(value)
         return said + self._interval(row, own)
 
@@ -110,8 +110,8 @@ class Column:
         low, high = ends[n - 1] if n else ends
         if own in (*SHARES, "misleading"):
             low, high = 100 * low, 100 * high
-            return f" ({low:.{0 if low >= 1.0 else 1}f} – {high:.{0 if high >= 1.0 else 1}f} %)"
-        return f" ({low:.3g} – {high:.3g})"
+            return f" ({low:.{0 if low >= 1.0 else 1}f}–{high:.{0 if high >= 1.0 else 1}f} %)"
+        return f" ({low:.3g}–{high:.3g})"
 
 
 def _columns(words: str, rows: Sequence[Row]) -> list[Column]:
