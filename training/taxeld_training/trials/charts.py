@@ -47,13 +47,13 @@ def front(rows: Sequence[Row], path: Path) -> None:
     single.set_title("single objects, with 25 to 800 particles", fontsize=10, loc="left")
     single.set_xlabel("processor time of a touch [ms]", fontsize=10)
     if single.lines:
-        single.legend(fontsize=9, frameon=False)
+        figure.legend(loc="outside lower center", ncols=len(SHOWN), fontsize=9, frameon=False)
     over_all.set_title("ten objects", fontsize=10, loc="left")
     for axes in (over_all, single):
         _plain(axes, 9)
         axes.set_xscale("log")
         axes.set_ylim(bottom=0.0)
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0), numticks=20))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.set_ylabel("touches until found and sure", fontsize=10)
