@@ -90,7 +90,7 @@ def test_a_daemon_that_is_not_there_is_one_line_and_status_1(
             "endpoint: 'tcp://robot:1' is not local; use ipc:///path or tcp://127",
         ),
         ("", "robot", "robot: unreadable configuration"),
-        ("/nowhere", "tcp://robot:1", "TAXELD_KEYS: /nowhere/client.key_secret is not there"),
+        ("/nowhere", "tcp://robot:1", "TAXELD_KEYS: /nowhere/client.key_secret cannot be read"),
     ],
 )
 def test_a_wrong_endpoint_is_one_line_and_status_2(

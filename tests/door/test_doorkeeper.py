@@ -81,7 +81,7 @@ def test_signals_of_a_terminal_or_a_service_that_stops_leave_the_door_to_its_loo
         ({"publish": ("ipc://{}/precious",)}, "publish.endpoints: .* is no socket; remove it"),
         ({"control": "ipc://{}/precious"}, "control.endpoint: .* is no socket; remove it"),
         ({"control": "ipc://{}/x/y"}, "control.endpoint: .* does not exist; the service makes it"),
-        ({"keys": "{}"}, "curve.directory: .*server.key_secret is not there"),
+        ({"keys": "{}"}, "curve.directory: .*server.key_secret cannot be read"),
     ],
 )
 def test_an_endpoint_that_cannot_be_served_is_one_line(

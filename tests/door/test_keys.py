@@ -156,9 +156,9 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
 @pytest.mark.parametrize(
     ("path", "text", "fault"),
     [
-        ("server.key_secret", None, "server.key_secret is not there"),
+        ("server.key_secret", None, "server.key_secret cannot be read"),
         ("server.key_secret", "x", "is no certificate"),
-        ("robot.key", None, "robot.key is not there"),
+        ("robot.key", None, "robot.key cannot be read"),
         ("robot.key", "public-key", "robot.key is no certificate"),
         ("robot.key", f'public-key = "{"#" * 40}"', "robot.key is no certificate"),
         ("clients/client.key", None, "no clients/*.key in"),
@@ -172,6 +172,11 @@ def test_keys_that_cannot_be_used_are_one_line(
     with pytest.raises(SetupError, match=rf"^curve\.directory: .*{re.escape(fault)}") as error:
         curve.read_keys(str(keys), ROBOT, [CLIENTS])
     assert "\n" not in str(error.value)
+
+
+def test_a_directory_that_cannot_be_entered_is_one_line(keys: Path) -> None:
+    with pytest.raises(SetupError, match=r"^curve\.directory: .*cannot be read \(File name too"):
+        curve.read_keys(str(keys / ("x" * 300)), "", [])
 
 
 def test_a_secret_may_be_read_by_the_group_and_by_nobody_else(keys: Path) -> None:

@@ -84,10 +84,14 @@ def as_client(socket: zmq.Socket[Any], server: bytes, public: bytes, secret: byt
 
 def _certificate(path: Path, asked_by: str) -> tuple[bytes, bytes | None]:
     try:
+        path.stat()  # `load_certificate` does not say why it cannot read a file
         public, secret = load_certificate(path)
         if any(len(z85.decode(k)) != 32 for k in (public, secret) if k):
             raise ValueError("a key is not 32 bytes in Z85")
-    except (OSError, ValueError, LookupError, struct.error) as error:
-        why = "is not there" if not path.exists() else f"is no certificate ({error})"
-        raise SetupError(f"{asked_by}: {path} {why}; see docs/stream.md, 'Keys'") from None
-    return public, secret
+    except OSError as error:
+        why = f"cannot be read ({error.strerror})"
+    except (ValueError, LookupError, struct.error) as error:
+        why = f"is no certificate ({error})"
+    else:
+        return public, secret
+    raise SetupError(f"{asked_by}: {path} {why}; see docs/stream.md, 'Keys'")
