@@ -99,10 +99,7 @@ def test_a_file_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path) ->
 
 def figures(**of: str) -> tables.Row:
     made: dict[str, Any] = {"ms": 10.0 + len(str(of)), "to_sure": 4.0, "trials": 40, "sure": 9}
-    made |= {"misleading": 1, "found_and_sure": [0, 30], "estimates": 80}
-    made |= {
-        "bins": [{"from": 0.1 * k, "n": 9, "mean_p": 0.1 * k, "right": 0.1 * k} for k in range(9)]
-    }
+    made |= {"misleading": 1, "found_and_sure": [0, 30]}
     return {"of": of, **made, "ci": {"to_sure": [3.5, 4.5], "found_and_sure": [[0, 1], [0.6, 0.9]]}}
 
 
@@ -112,7 +109,6 @@ def test_charts_are_small_and_drawn_again_with_the_same_bytes(name: str, tmp_pat
     rows = [figures(cell="exact", method=each) for each in methods]
     rows += [figures(cell="exact", method=each, object="025_mug") for each in methods]
     rows += [figures(cell=each, object=name) for each in cells for name in ("025_mug", "016_pear")]
-    rows += [figures(part=each) for each in ("all", "tuned")]
     for out in ("a.png", "b.png"):
         charts.CHARTS[name](rows, tmp_path / out)
     data = (tmp_path / "a.png").read_bytes()

@@ -81,8 +81,7 @@ class Column:
             return " / ".join([*(said.removesuffix(" %") for said in each[:-1]), each[-1]])
         own = self.figure.removesuffix("±")
         if own == "misleading":
-            sure = f" of {row['sure']}" if "sure" in row else ""  # rows of older commits have none
-            return f"{row[own]}{sure}{self._interval(row, own)}"
+            return f"{row[own]} of {row['sure']}{self._interval(row, own)}"
         value = row.get(own)
         if value is None:
             return ""
