@@ -1,6 +1,5 @@
 """Rules of the whole house."""
 
-import json
 import re
 import subprocess
 import sys
@@ -11,7 +10,6 @@ import pytest
 
 from taxeld import __version__
 from taxeld.config import file as config_file
-from taxeld.proposals import bundle
 
 ROOT = Path(__file__).parents[2]
 
@@ -32,16 +30,6 @@ def test_contributing_lists_every_make_target_and_files_that_are_there() -> None
     for name in re.findall(r"`(\w+/[\w/]+\.\w+)`", text):
         places = (ROOT / part / name for part in (".", "daemon", "training", "hil"))
         assert any(place.is_file() for place in places), name
-
-
-def test_the_performance_pages_sampler_table_is_what_the_bundles_say() -> None:
-    text = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
-    for name in ("box", "mug"):
-        info = json.loads((bundle.find(name) / "bundle.json").read_text(encoding="utf-8"))
-        known = {s["name"]: s for s in info["samplers"]} | info["analytic"]
-        shown = ("projection", "table", "ddpm-100", "density-16", "density-64")
-        figures = [*(known[name]["energy_distance"] for name in shown), info["energy_floor"]]
-        assert f"| `{name}` | " + " | ".join(f"{f:.3f}" for f in figures) + " |" in text
 
 
 def test_what_is_to_be_installed_comes_from_the_clone_or_a_wheel_and_from_no_index() -> None:

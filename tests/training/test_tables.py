@@ -36,7 +36,7 @@ ROWS = [
             "cell=exact | object | mm 1 2 | found 2 | misleading | all",
             """
 | object | mm after 1 | mm after 2 | found 2 | misleading |
-| --- | --- | --- | --- | --- |
+|---|---|---|---|---|
 | cracker box | 4.0 (9) | 0.2 (1) | 100 % | 0 of 30 |
 | mug | 4.0 (9) | 0.2 (1) | 50 % | 2 of 30 |
 | all | 4.0 (9) | 0.2 (1) | 75 % | 2 of 30 |""",
@@ -45,7 +45,7 @@ ROWS = [
             "object | found 1 2 by cell",
             """
 | object | exact, found 1 2 | poor, found 1 2 |
-| --- | --- | --- |
+|---|---|---|
 | cracker box | 25 / 100 % | 2 / 98 % |
 | mug | 0 / 50 % |  |""",
         ),
@@ -53,7 +53,7 @@ ROWS = [
             "cell=poor | object | found± 2 | misleading± | ece± | absent",
             """
 | object | found 2 | misleading | error of p | absent |
-| --- | --- | --- | --- | --- |
+|---|---|---|---|---|
 | cracker box | 98 % (84–100 %) | 0 of 30 (0.0–16 %) | 0.0345 (0.01–0.05) |  |""",
         ),
     ],

@@ -54,9 +54,9 @@ def text(rows: Sequence[Row], spec: str) -> str:
         [word(name), *(column.cell(of.get(_key(labels | column.labels))) for column in columns)]
         for name, labels in lines.items()
     ]
-    table = [[line, *(each.head for each in columns)], ["---"] * (1 + len(columns))]
-    table += [each for each in made if any(each[1:])]
-    return "\n".join(f"| {' | '.join(each)} |" for each in table)
+    table = [[line, *(each.head for each in columns)], *(each for each in made if any(each[1:]))]
+    head, *filled = (f"| {' | '.join(each)} |" for each in table)
+    return "\n".join([head, "|---" * len(table[0]) + "|", *filled])
 
 
 @dataclass(frozen=True)
