@@ -80,7 +80,7 @@ def test_pages_hold_what_their_rows_say_or_are_filled(
     assert tables.main([]) == 0, "a page of this tree and its rows disagree"
     monkeypatch.setattr(tables, "DOCS", tmp_path)
     jobs.save(tmp_path / "results" / "mine.json", "rows", ROWS, {"commit": "x"})
-    block = "<!-- figures: mine | cell=exact | object | found 2 -->\n{}<!-- end of figures -->\n"
+    block = "<!-- figures: mine | cell=exact | object | found 2 -->\n{}<!-- end -->\n"
     page = tmp_path / "page.md"
     page.write_text("a\n" + block.format("old\n") + "b\n" + block.format(""), encoding="utf-8")
     assert tables.main([]) == 1

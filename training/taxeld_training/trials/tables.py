@@ -3,7 +3,7 @@
     python -m taxeld_training.trials.tables           fails where a page and its rows disagree
     python -m taxeld_training.trials.tables --write   writes the pages' tables anew
 
-A block of a page stands between `<!-- figures: NAME | SPEC -->` and `<!-- end of figures -->`;
+A block of a page stands between `<!-- figures: NAME | SPEC -->` and `<!-- end -->`;
 `docs/results/NAME.json` has its rows, and `text` says what SPEC is.
 """
 
@@ -31,7 +31,7 @@ HEADS = {
 }
 DOCS = Path(__file__).parents[3] / "docs"
 BLOCK = re.compile(
-    r"(<!-- figures: (\w+) \| ([^\n]*) -->\n)(.*?)(<!-- end of figures -->)", re.DOTALL
+    r"(<!-- figures: (\w+) \| ([^\n]*) -->\n)(.*?)(<!-- end -->)", re.DOTALL
 )
 
 
