@@ -41,7 +41,7 @@ class Question:
     guides: tuple[str, ...] = ("random",)
     motions: tuple[str, ...] = ("none",)
     touches: int = 8
-    seeds: int = 20
+    seeds: int = 40
     effort: float = 0.5  # share of a sampler's full training
     knows: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # lists of known objects
     strangers: tuple[str, ...] = ()  # objects that the first of these lists meets as well
