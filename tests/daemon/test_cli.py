@@ -70,7 +70,7 @@ FAULTS = [  # of what a run opens; those of keys alone are of the configuration'
     ),
     ("skin", "full_scale_depth_m", 0.004, "skin.full_scale_depth_m: is 0.004, but box"),
     ("filter", "proposal", "ddpm-7", "filter.proposal: box has no 'ddpm-7'; it has auto, "),
-    ("curve", "directory", "/nowhere", "curve.directory: /nowhere/server.key_secret is not"),
+    ("curve", "directory", "/nowhere", "curve.directory: /nowhere/server.key_secret cannot be"),
 ]
 
 
