@@ -30,9 +30,7 @@ HEADS = {
     "to_sure": "touches to sure",
 }
 DOCS = Path(__file__).parents[3] / "docs"
-BLOCK = re.compile(
-    r"(<!-- figures: (\w+) \| ([^\n]*) -->\n)(.*?)(<!-- end -->)", re.DOTALL
-)
+BLOCK = re.compile(r"(<!-- figures: (\w+) \| ([^\n]*) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
 def text(rows: Sequence[Row], spec: str) -> str:
