@@ -208,8 +208,7 @@ class Sweep:
         return self.skin.scan()
 
     def felt_by(self, pipeline: Pipeline, first: int) -> Iterator[Outcome]:
-        """What a daemon makes of it that gets few of 100 poses a second, pose `first` before all
-        others."""
+        """What a daemon makes of each ninth of 100 poses a second, from number `first` on."""
         for k in range(round(100.0 * self.t[-1])):
             t = 0.01 * k
             if k % EVERY == first:

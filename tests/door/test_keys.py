@@ -175,6 +175,7 @@ def test_keys_that_cannot_be_used_are_one_line(
 
 
 def test_a_directory_that_cannot_be_entered_is_one_line(keys: Path) -> None:
+    """By its name, as root enters any other."""
     with pytest.raises(SetupError, match=r"^curve\.directory: .*cannot be read \(File name too"):
         curve.read_keys(str(keys / ("x" * 300)), "", [])
 
