@@ -74,6 +74,7 @@ class Bank:
         self._restarted = -1  # number of the last contact that an earlier daemon felt
         self._best_before = np.zeros(len(rules))  # log evidence of the best when each was tried
         self._later: list[list[ScanEvidence]] = [[] for _ in rules]  # not learned yet
+        self._used = 0  # samples, by the object that is learning what is due
         self._contact = self._touches = 0  # number of the last contact, and how many there were
         self.best = first
         self._weigh()
@@ -171,19 +172,23 @@ class Bank:
         return bool(self.due) or self._opens() is not None
 
     def revisit(self) -> int:
-        """Have an object explain the scans that it has not learned from, or search for another
-        place; → the number of samples used."""
-        samples = 0
+        """Have an object learn the next scan that it has not learned from, or search for another
+        place; → the number of samples used, once it has learned them all."""
         if self.due:
-            k = self.due.pop(0)
-            rule, later, self._later[k] = self.rules[k], self._later[k], []
+            k = self.due[0]
+            rule, later = self.rules[k], self._later[k]
             if k in self.ruled_out or not later:
-                samples = rule.adopt(self.rule.memory)
+                self._used = rule.adopt(self.rule.memory)
+                later.clear()
             else:
-                for scan in later:
-                    samples += rule.take(scan)[0]
-        elif (opens := self._opens()) is not None:
-            samples = self.rules[opens].search()
+                self._used += rule.take(later.pop(0))[0]
+            if later:
+                return 0
+            del self.due[0]
+            samples, self._used = self._used, 0
+        else:
+            opens = self._opens()
+            samples = 0 if opens is None else self.rules[opens].search()
         if samples:
             self._weigh()
         return samples

@@ -175,9 +175,9 @@ class Mixture:
 
     def search(self) -> int:
         """Merge the belief with samples of several remembered contacts; → how many."""
-        contacts, found = np.flatnonzero(self.memory.contact), 0
+        contacts, found, wanted = np.flatnonzero(self.memory.contact), 0, self._wanted
         for scan in self._rng.permutation(contacts)[:SEARCHED].tolist():
-            samples = self._draw(self.memory.scans[scan].remembered, self._wanted)
+            samples = self._draw(self.memory.scans[scan].remembered, wanted)
             if len(samples):
                 self.belief = self._merged(self.opinion(samples, scan, self._rng))
                 found += len(samples)
@@ -244,10 +244,11 @@ class Mixture:
 
     @property
     def _wanted(self) -> int:
-        """Number of samples: as configured, and more while the belief is wide or unlikely."""
+        """Number of samples: as configured; in proportion more while the belief is wide or
+        unlikely, but no more than it has particles."""
         config = self._config
         size = self._most if self._stands < 0.5 else len(self.belief)
-        return round(config.injected * max(size / config.particles, 1.0))
+        return max(config.injected, min(round(config.injected * size / config.particles), size))
 
     def _judge(self, *, has_looked: bool) -> None:
         """Weigh the hypotheses, and find how sure the belief is. `has_looked`: whether samples of
@@ -310,11 +311,10 @@ class Mixture:
 
     def _merged(self, opinion: Belief) -> Belief:
         """The belief merged with an opinion. Samples know nothing of how the object slides,
-        so each takes the ground of the nearest particle."""
+        so each takes the ground of a particle."""
         belief = self.belief
         if belief.ground.size:
-            apart = self.metric.distance(opinion.pose[:, None], belief.pose[None])
-            opinion.ground = belief.ground.take(apart.argmin(axis=1), axis=0)
+            opinion.ground = pf.resample(belief, len(opinion), self._rng).ground
         runs, evidence = self.memory.runs, self._evidence
         return pf.merge(belief, evidence.of(belief, runs), opinion, evidence.of(opinion, runs))
 
