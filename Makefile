@@ -15,9 +15,10 @@ demo: .venv/.runtime
 test: .venv/.all
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "smoke or not check"
 
-# The longer tests: real processes, faults, builds, experiments
+# The longer tests: real processes, faults, builds, experiments; and properties with fresh examples
 check: .venv/.all
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "check and not smoke"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m hypothesis --hypothesis-profile hunt
 
 # What the client in JavaScript needs, for its test
 node: .venv/.node

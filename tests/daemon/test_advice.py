@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.advice import hypotheses, lines
@@ -25,6 +25,7 @@ from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.proposals.analytic import Table
+from tests.rig.examples import examples
 from tests.rig.memories import memory_of, plus
 from tests.rig.pressed_box import TRUTH, World, approach, estimator, settled
 from tests.rig.scenes import DEPTH_MAX_M, box, disc, scene_of
@@ -96,7 +97,7 @@ def handled_model(skin: Layout) -> ObservationModel:
     return handled(skin)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(
     touches=st.integers(0, 3),
     middle=st.tuples(*[st.floats(-0.3, 0.3)] * 2),

@@ -19,6 +19,7 @@ from taxeld.estimator.mixture import ROOM
 from taxeld.model import se2
 from taxeld.model.observation import Activation, ObservationModel
 from taxeld.proposals.analytic import Manifold, Projection
+from tests.rig.examples import examples
 from tests.rig.pressed_box import (
     TRUTH,
     World,
@@ -283,4 +284,4 @@ def _model(box_model: ObservationModel) -> None:
 
 
 TestAnyInput = AnyInput.TestCase
-TestAnyInput.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+TestAnyInput.settings = settings(examples(60), stateful_step_count=30)

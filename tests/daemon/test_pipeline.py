@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.commands.replay import outcomes, replay
@@ -26,6 +26,7 @@ from taxeld.stream import messages
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.configurations import configuration
+from tests.rig.examples import examples
 from tests.rig.recorded import write_session
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.skins import SKIN
@@ -195,7 +196,7 @@ def published(found: Iterable[Outcome]) -> list[dict[str, object]]:
     late_ms=st.integers(0, 12),
     jitter=st.lists(st.floats(0, 0.004), min_size=20, max_size=20),
 )
-@settings(max_examples=8, deadline=None)
+@examples(8)
 def test_poses_that_come_a_little_late_change_nothing(
     box: Bundle, late_ms: int, jitter: list[float]
 ) -> None:
@@ -262,7 +263,7 @@ strange = st.sampled_from([0.0, 0.0, 0.0, 0.03, -0.03, 0.6, -0.6, 1e4, -1e4, np.
         max_size=60,
     )
 )
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_whatever_arrives_whenever_is_counted_and_never_raises(
     box: Bundle, arrivals: list[tuple[str, float]]
 ) -> None:

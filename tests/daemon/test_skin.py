@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.config.tables import SkinConfig
@@ -14,6 +14,7 @@ from taxeld.skin.foam import KEPT, Residue
 from taxeld.skin.skin import Skin
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module
+from tests.rig.examples import examples
 from tests.rig.simulated_skin import PERIOD_S, SimulatedSkin, begun
 from tests.rig.skins import SKIN
 
@@ -142,7 +143,7 @@ def counts_of(kind: str, simulated: SimulatedSkin, taxel: int) -> tuple[int, ...
         st.tuples(st.sampled_from(HAPPENINGS), st.integers(0, 31), st.integers(1, 60)), max_size=25
     )
 )
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_whatever_comes_the_state_is_finite_and_the_masks_agree(
     skin: Layout, story: list[tuple[str, int, int]]
 ) -> None:

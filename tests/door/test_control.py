@@ -11,11 +11,12 @@ from typing import Any
 import msgpack
 import pytest
 import zmq
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.door.control import Control, for_members, packed_ok
 from taxeld.stream import client, topics
+from tests.rig.examples import examples
 
 from ..rig.clocks import PATIENCE_S
 from ..rig.processes import free_port
@@ -135,7 +136,7 @@ ANY = st.recursive(
 BODY = ANY.map(msgpack.packb) | st.binary(max_size=64) | st.sampled_from(BOMBS)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(envelope=st.lists(st.sampled_from([b"", b"x"]), max_size=6), body=BODY)
 def test_no_request_ends_the_answers(envelope: list[bytes], body: bytes) -> None:
     with zmq.Context() as context, context.socket(zmq.DEALER) as asking:

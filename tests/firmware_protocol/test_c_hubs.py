@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.commands.decode import decode
@@ -22,6 +22,7 @@ from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 from tests.pages import FENCED
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.commands import printed
+from tests.rig.examples import examples
 from tests.rig.processes import PIPES, taxeld
 from tests.rig.skins import SKIN
 
@@ -65,7 +66,7 @@ LEAVE = Packet(0.0, BROADCAST, LEAVE_BOOTLOADER, b"")
 
 
 @given(st.sampled_from(Phase), st.lists(requests() | st.just(LEAVE), max_size=30))
-@settings(deadline=None, max_examples=150)
+@examples(150)
 def test_a_hub_in_c_answers_whatever_it_is_asked_as_the_virtual_hub_does(
     c_side: CSide,  # noqa: F811
     phase: Phase,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import taxeld
@@ -23,6 +23,7 @@ from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module
 from taxeld_protocol.serial_link import SerialReader
 
+from ..rig.examples import examples
 from .c_side import (
     E_ARGUMENT,
     E_COBS,
@@ -214,13 +215,11 @@ def traffic(draw: st.DrawFn) -> list[Frame]:
 
 
 @given(traffic() | st.lists(any_frame, max_size=60))
-@settings(deadline=None)
 def test_both_sides_reassemble_alike(c_side: CSide, frames: list[Frame]) -> None:
     assert c_side.reassemble(frames) == python_reassemble(frames)
 
 
 @given(st.integers(0, 255), payloads, st.integers(0, 255))
-@settings(deadline=None)
 def test_both_sides_send_any_packet_alike(
     c_side: CSide, command: int, payload: bytes, ihb: int
 ) -> None:
@@ -233,7 +232,7 @@ def test_both_sides_send_any_packet_alike(
 
 
 @given(st.sampled_from([*commands.REQUESTS, *WITHOUT_FIELDS]), st.binary(max_size=6))
-@settings(deadline=None, max_examples=150)
+@examples(150)
 def test_both_sides_read_the_fields_of_any_request_alike(
     c_side: CSide, command: Command, payload: bytes
 ) -> None:
@@ -257,7 +256,6 @@ line_parts = st.one_of(
 
 
 @given(st.lists(line_parts, max_size=6), st.lists(st.integers(1, 300), min_size=1, max_size=5))
-@settings(deadline=None)
 def test_any_pieces_are_received_as_python_receives_the_whole(
     c_side: CSide, parts: list[bytes], sizes: list[int]
 ) -> None:
@@ -266,7 +264,6 @@ def test_any_pieces_are_received_as_python_receives_the_whole(
 
 
 @given(st.binary(max_size=300) | st.builds(lambda n: b"\7" * n, st.integers(250, 800)))
-@settings(deadline=None)
 def test_both_sides_stuff_alike(c_side: CSide, data: bytes) -> None:
     assert c_side.cobs_encode(data) == serial_link.cobs_encode(data)
     decoded = c_side.cobs_decode(data)
@@ -274,7 +271,6 @@ def test_both_sides_stuff_alike(c_side: CSide, data: bytes) -> None:
 
 
 @given(st.data(), st.lists(st.integers(0, 12), min_size=1, max_size=60))
-@settings(deadline=None)
 def test_a_scan_from_any_start_fills_the_channels_from_there(
     c_side: CSide, data: st.DataObject, channels: list[int]
 ) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from itertools import chain
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld_protocol import cyskin
@@ -158,7 +158,6 @@ def test_a_hub_that_declares_its_modules_ends_the_scan_under_way(channels: int) 
     assert list(new.counts) == counts
 
 
-@settings(max_examples=100)
 @given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=40)), max_size=30))
 def test_any_packets_leave_the_decoder_standing(packets: list[tuple[int, bytes]]) -> None:
     decoder = Decoder()

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.arrays import Floats, Poses
@@ -16,6 +16,8 @@ from taxeld_hil.calibration.calibrate import KNOWN_GAIN_SD, errors_of, fitted
 from taxeld_hil.calibration.fit import FIRM, FitResult, likeliest
 from taxeld_hil.calibration.presses import LEAST_SCANS, MOST_SCANS, Presses, PressFinder
 from tests.hil.rig import MODEL, PLACED, SKIN, PressedSkin
+
+from ..rig.examples import examples
 
 MODULE = SKIN.uid >> 4
 NOISE = np.full(len(SKIN), 20.0)
@@ -28,7 +30,7 @@ def gain_off(fit: FitResult, skin: PressedSkin) -> Floats:
     return np.abs(counts / (skin.full_scale * skin.gain) - 1.0)
 
 
-@settings(max_examples=2, deadline=None)
+@examples(2)
 @given(st.integers(0, 10_000))
 def test_what_was_put_in_comes_out_within_the_stated_uncertainty(seed: int) -> None:
     skin = PressedSkin.drawn(MODEL, seed)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.arrays import Floats, Poses
@@ -27,6 +27,8 @@ from taxeld_hil.world.skin import (
 )
 from taxeld_hil.world.world import World, world_of
 from tests.hil.rig import DEMO, MODEL, MODULES, SKIN
+
+from ..rig.examples import examples
 
 MESH = replace(DEMO, physics="typical")
 SILENT = {"noise_counts": (0.0, 0.0)}
@@ -188,7 +190,7 @@ ROUNDING = 1e-6  # counts
     pressed=st.floats(0.05, 1.0),
     period_s=st.floats(0.01, 2.0),
 )
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_while_nothing_is_touched_no_reading_rises(
     name: str, seed: int, taxels: list[int], steps: int, pressed: float, period_s: float
 ) -> None:
