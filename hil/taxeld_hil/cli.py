@@ -42,30 +42,39 @@ def _run(args: argparse.Namespace) -> int:
 
     taxeld-hil run demo
     taxeld-hil run everything --clock fake --foam poor
-    taxeld-hil run demo --target can:can0 --poses tcp://127.0.0.1:9874 --truth 0.4 0.1 0
+    taxeld-hil run demo --random 20
+    """
+    from taxeld_hil.grade import grade
+    from taxeld_hil.run.fake import FakeRun
+    from taxeld_hil.run.live import LiveRun
+    from taxeld_hil.scenario import random_faults
+
+    scenario = _scenario(args, args.foam, *args.layout or ())
+    scenario = replace(scenario, advised=scenario.advised or args.advised)
+    if args.random is not None:
+        scenario = random_faults.drawn(scenario, args.seed, args.random)
+    name = Path(args.scenario).stem
+    out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
+    is_fake = args.clock == "fake"
+    run = FakeRun(scenario, args.seed) if is_fake else LiveRun(scenario, args.seed, _say)
+    _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
+    graded = run.graded(name, out)
+    _say("\n".join(grade.lines(graded)))
+    _say_next(scenario, out)
+    return 0 if graded.passed else 1
+
+
+def _grade(args: argparse.Namespace) -> int:
+    """Grade a session: of a run again, or what 'taxeld record' recorded on hardware.
+
+    taxeld-hil grade session --truth 0.4 0.1 0
     """
     import numpy as np
 
     from taxeld_hil.grade import grade
-    from taxeld_hil.run.fake import FakeRun
-    from taxeld_hil.run.live import LiveRun
 
-    is_simulated = args.target == "sim"
-    scenario = _scenario(args, args.foam, *args.layout or ())
-    scenario = replace(scenario, advised=scenario.advised or args.advised)
-    name = Path(args.scenario).stem
-    out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
-    run: LiveRun | FakeRun
-    if is_simulated and args.clock == "fake":
-        run = FakeRun(scenario, args.seed)
-    else:
-        truth = None if args.truth is None else np.array(args.truth)
-        run = LiveRun(scenario, args.seed, _say, args.target, args.poses, truth)
-    _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
-    graded = run.graded(name, out)
+    graded = grade.grade(args.session, None if args.truth is None else np.array(args.truth))
     _say("\n".join(grade.lines(graded)))
-    if is_simulated:
-        _say_next(scenario, out)
     return 0 if graded.passed else 1
 
 
@@ -134,6 +143,7 @@ def _matrix(args: argparse.Namespace) -> int:
     """Run scenarios on several objects and skins, seed by seed.
 
     taxeld-hil matrix demo --seeds 2 --out matrix
+    taxeld-hil matrix demo --random 1 --seeds 60 --out soak
     """
     from taxeld_hil import jobs
     from taxeld_hil.experiment import runs
@@ -142,32 +152,12 @@ def _matrix(args: argparse.Namespace) -> int:
     names = args.scenario or list(scenarios.shipped())
     objects, foams = args.object or MATRIX_OBJECTS, args.foam or MATRIX_FOAMS
     layouts = jobs.layouts(args.layout)
-    rows = _done(runs.matrix(names, objects, foams, args.seeds, layouts), args, runs.described)
-    jobs.save(args.out / "scenarios.json", "runs", rows, {})
-    _say("\n".join(runs.lines(rows)))
-    return 0 if all(row["passed"] for row in rows) else 1
-
-
-def _soak(args: argparse.Namespace) -> int:
-    """Run random faults for hours, lap by lap, or in real time on one daemon.
-
-    taxeld-hil soak --hours 2
-    taxeld-hil soak mine.toml --real-minutes 10
-    """
-    from taxeld_hil import jobs
-    from taxeld_hil.experiment import runs, soak
-    from taxeld_hil.scenario import scenario as scenarios
-
-    real = args.real_minutes is not None
-    minutes = args.real_minutes if real else round(60.0 * args.hours)
-    if not 1 <= minutes <= (soak.LIVE_MAX if real else minutes):
-        most = f"--real-minutes must be 1..{soak.LIVE_MAX}" if real else "--hours is too short"
-        raise SetupError(most)
-    todo = soak.jobs(scenarios.load(args.scenario), args.seed, minutes, real=real)
+    todo = runs.matrix(names, objects, foams, args.seeds, layouts, args.random or 0)
     rows = _done(todo, args, runs.described)
-    jobs.save(args.out, "runs", rows, {})
-    _say(soak.described(rows))
-    return 0 if soak.passed(rows) else 1
+    jobs.save(args.out / "scenarios.json", "runs", rows, {})
+    passed = sum(row["passed"] for row in rows)
+    _say(f"{passed} of {len(rows)} runs passed")
+    return 0 if passed == len(rows) else 1
 
 
 def _done(
@@ -210,6 +200,8 @@ SCENARIO = given("scenario", "SCENARIO", "a shipped name (demo) or a TOML file")
 SEED = given("--seed", "N", "default: 0", int, default=0)
 OBJECT_ABOUT = "in place of the scenario's object: box, drill, mug, or a path"
 OBJECT = given("--object", "BUNDLE", OBJECT_ABOUT, default="")
+RANDOM_ABOUT = "of faults that the seed draws, in place of the scenario's"
+RANDOM = given("--random", "MINUTES", RANDOM_ABOUT, int)
 FOAM_NAMES = ", ".join(FOAMS)
 
 COMMANDS: dict[Run, Arguments] = {
@@ -218,13 +210,15 @@ COMMANDS: dict[Run, Arguments] = {
         SEED,
         OBJECT,
         given("--out", "DIR", "for the session and its grade", Path),
-        given("--target", "TARGET", "sim, can:can0, serial:DEVICE or slcan:DEVICE", default="sim"),
-        given("--poses", "ENDPOINT", "on hardware: the robot's", default=""),
-        given("--truth", "X Y THETA", "on hardware: the object's pose [m, m, rad]", float),
         given("--foam", "FOAM", f"in place of the scenario's: {FOAM_NAMES}", default=""),
         given("--clock", "CLOCK", "real or fake", choices=("real", "fake"), default="real"),
         flag("--advised", "the robot follows the daemon's advice, on the fake clock"),
         given("--layout", "LAYOUT", "in place of the scenario's; of a link each", action="append"),
+        RANDOM,
+    ),
+    _grade: (
+        given("session", "SESSION", "its directory", Path),
+        given("--truth", "X Y THETA", "the object's true pose [m, m, rad]", float),
     ),
     _accept: (
         given("target", "TARGET", "can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …"),
@@ -255,18 +249,9 @@ COMMANDS: dict[Run, Arguments] = {
         given("--foam", "FOAM", f"may be repeated ({', '.join(MATRIX_FOAMS)})", action="append"),
         jobs.layout_option("what each object's bundle was built for"),
         given("--seeds", "N", "runs of each kind (5)", int, default=5),
+        RANDOM,
         jobs.WORKERS,
         given("--out", "DIR", "for the JSON", Path, required=True),
-    ),
-    _soak: (
-        given("scenario", "SCENARIO", "default: demo", nargs="?", default="demo"),
-        SEED,
-        [
-            given("--hours", "H", "of scans, on the fake clock (1)", float, default=1.0),
-            given("--real-minutes", "N", "over the transport, in real time", int),
-        ],
-        jobs.WORKERS,
-        given("--out", "FILE", "the report", Path, default=Path("soak.json")),
     ),
     _emulate: (
         SCENARIO,
@@ -285,7 +270,7 @@ COMMANDS: dict[Run, Arguments] = {
 def _parser() -> argparse.ArgumentParser:
     parser = command_line.parser(
         "taxeld-hil",
-        "The test harness: a simulated or real skin and robot around a daemon, and a grade for it."
+        "The test harness: a simulated skin and robot around a daemon, and a grade for sessions."
         f"\n\n{textwrap.fill('Scenarios: ' + ', '.join(SCENARIOS), 80)}."
         f"\n\nFoams of the simulated skin: {FOAM_NAMES}.",
         "taxeld-hil run demo",

@@ -16,14 +16,13 @@ NO_ENDPOINT = "; use ipc:///path or tcp://"
 EMULATE = "emulate demo --link {place}/skin --out {place}/out --poses"
 
 WRONG = [  # a command line, and words of its line
-    ("run demo --target usb0", "--target: 'usb0' is none of sim, can:DEVICE"),
+    ("run demo --random 0", "--random: must be 1..120 minutes"),
+    ("grade {place}/none", "none: is no session"),
     ("run demo --foam marble", NO_FOAM),
     ("run demo --clock fake --object party", NO_BUNDLE),
     ("run demo --advised", "advised: such a robot runs on the fake clock alone: --clock fake\n"),
-    ("run links --target can:can0", "layouts: several links run on the fake clock alone"),
     ("emulate links --can vcan0 --poses ipc:///x --out {place}/out", "layouts: several links run"),
     ("run party", "no scenario 'party'; shipped are "),
-    ("soak --lap 1", "soak --lap: is gone; a soak's report has a row a lap"),
     ("physics --fit", "taxeld-hil physics: is gone; 'taxeld-hil expect' has how well"),
     ("run demo --skin poor", "taxeld-hil run --skin: is gone; say --foam"),
     ("table --seeds 5", "taxeld-hil table: is gone; 'taxeld-hil matrix' has "),
@@ -33,8 +32,6 @@ WRONG = [  # a command line, and words of its line
     ("run demo --png x.png", "taxeld-hil run --png: is gone; 'taxeld view DIR' draws the s"),
     ("matrix demo --foam marble --out {place}/out", NO_FOAM),
     ("matrix demo --seeds 0 --out {place}/out", "--seeds must be at least 1"),
-    ("soak --foam poor", "soak --foam: is gone; the scenario's file has its bundle"),
-    ("soak --memory m", "soak --memory: is gone; finished runs are kept in .experiments, "),
     ("matrix demo --workers 0 --out {place}/out", "--workers must be at least 1"),
     ("calibration --seeds 1", "taxeld-hil calibration: is gone; taxeld calibrate SESSION --check"),
     (f"{EMULATE} foo", "--poses: 'foo' "),

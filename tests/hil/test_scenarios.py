@@ -1,14 +1,10 @@
-"""Every shipped scenario passes: on the fake clock all of them, over real transports a rough one.
-
-With TAXELD_TARGET (`can:can0`, `serial:/dev/ttyACM0`, `slcan:/dev/ttyACM0`) the same files run on
-hardware as well, with the robot's poses from TAXELD_POSES and the object at TAXELD_TRUTH ("x y θ"),
-where these are set.
-"""
+"""Every shipped scenario passes, on the fake clock; over real transports a rough one does."""
 
 import json
-import os
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +15,7 @@ from taxeld.commands.replay import Replay
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld.source.session import read_poses
+from taxeld_hil import cli
 from taxeld_hil.grade.session import read
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
@@ -28,8 +25,8 @@ from tests.rig.clocks import until
 
 pytestmark = pytest.mark.check
 
+TOUCHED_S = 30.0  # until six contacts are made, with a start
 HARNESS = [sys.executable, "-m", "taxeld_hil.cli"]
-TARGET = os.environ.get("TAXELD_TARGET", "")
 
 ROUGH = """\
 bundle = "box"
@@ -109,11 +106,6 @@ def test_a_run_is_determined_by_its_seed() -> None:
     assert first.figures["ledger"] != other.figures["ledger"]
 
 
-def cli(*args: str, limit_s: float = 300.0) -> "subprocess.CompletedProcess[str]":
-    command = [*HARNESS, *args]
-    return subprocess.run(command, capture_output=True, text=True, timeout=limit_s, check=False)
-
-
 @pytest.fixture(scope="module")
 def rough(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rough scenario in real time over both kinds of pseudo-terminal, at the same time."""
@@ -146,39 +138,37 @@ def test_in_real_time_nothing_is_lost_without_being_counted(rough: Path, transpo
         assert row["recovered_s"] is not None or row["overlapped"], row
 
 
-def test_a_run_on_hardware_grades_what_it_can_and_names_what_it_cannot(tmp_path: Path) -> None:
+def test_what_was_recorded_on_hardware_is_graded_by_its_replay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The emulator stands in for the hardware, and serves until it is stopped."""
-    (tmp_path / "s.toml").write_text(
-        'bundle = "box"\nphysics = "scene"\ncontacts = 2\n'
-        "expect = {found = false, recovery_s = 30.0}\n"
-        '[[fault]]\nkind = "reboot"\nat_s = 1.0\n',
-        encoding="utf-8",
-    )
-    skin_toml = 'bundle = "box"\nphysics = "scene"\ncontacts = 4\nrest_s = 600.0\n'
+    skin_toml = 'bundle = "box"\nphysics = "scene"\ncontacts = 6\nrest_s = 600.0\n'
     (tmp_path / "skin.toml").write_text(skin_toml, encoding="utf-8")
     link, poses = tmp_path / "skin", f"ipc://{tmp_path}/poses"
-    command = ["emulate", str(tmp_path / "skin.toml"), "--link", str(link), "--poses", poses]
-    with subprocess.Popen([*HARNESS, *command, "--out", str(tmp_path / "session")]) as skin:
+    emulate = ["emulate", str(tmp_path / "skin.toml"), "--link", str(link), "--poses", poses]
+    config, session = tmp_path / "robot.toml", tmp_path / "touches"
+    config.write_text(
+        f'[source]\nkind = "can"\ninterface = "slcan"\nchannel = "{link}"\n'
+        f'[scene]\nbundle = "box"\n[sensor_pose]\nendpoint = "{poses}"\n',
+        encoding="utf-8",
+    )
+    record = [sys.executable, "-m", "taxeld.cli", "record", "--out", str(session), str(config)]
+    with subprocess.Popen([*HARNESS, *emulate, "--out", str(tmp_path / "emulated")]) as skin:
         try:
             until(link.exists)
-            line = ["run", str(tmp_path / "s.toml"), "--target", f"slcan:{link}", "--poses", poses]
-            done = cli(*line, "--out", str(tmp_path / "out"))
+            with subprocess.Popen(record) as recorder:
+                time.sleep(TOUCHED_S)
+                recorder.send_signal(signal.SIGINT)
         finally:
             skin.kill()
-    grade = json.loads((tmp_path / "out" / "grade.json").read_text(encoding="utf-8"))
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert grade["contacts"] >= 2
-    checks = {check["name"]: check for check in grade["checks"]}
-    assert checks["accounts"]["passed"] is None
-    assert checks["nothing misleading"]["passed"] is None
-    assert checks["reboot at 1 s: flag"]["detail"].startswith("not injected")
-
-
-@pytest.mark.skipif(not TARGET, reason="TAXELD_TARGET names no hardware")
-@pytest.mark.parametrize("name", [n for n in scenario.shipped() if scenario.load(n).links == 1])
-def test_a_shipped_scenario_passes_on_hardware(name: str, tmp_path: Path) -> None:
-    more = ["--poses", os.environ.get("TAXELD_POSES", "")]
-    if "TAXELD_TRUTH" in os.environ:
-        more += ["--truth", *os.environ["TAXELD_TRUTH"].split()]
-    done = cli("run", name, "--target", TARGET, "--out", str(tmp_path), *more, limit_s=900.0)
-    assert done.returncode == 0, done.stdout + done.stderr
+    truth = (tmp_path / "emulated" / "truth.csv").read_text(encoding="ascii").split(",")[-3:]
+    assert cli.main(["grade", str(session), "--truth", *truth]) == 0
+    graded = capsys.readouterr().out
+    assert "ok    object found: status converged" in graded
+    assert "ok    nothing misleading: 0 of " in graded
+    assert "not graded: only a virtual skin keeps a ledger" in graded
+    x, y, theta = map(float, truth)
+    assert cli.main(["grade", str(session), "--truth", f"{x + 0.05}", f"{y}", f"{theta}"]) == 1
+    assert "FAIL  accuracy: 50" in capsys.readouterr().out
+    assert cli.main(["grade", str(session)]) == 0
+    assert "not graded: the true pose is not known" in capsys.readouterr().out

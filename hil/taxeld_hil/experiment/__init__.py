@@ -1,1 +1,1 @@
-"""Measurements of many runs: `taxeld-hil expect`, `matrix` and `soak`."""
+"""Measurements of many runs: `taxeld-hil expect` and `matrix`."""

@@ -1,7 +1,6 @@
-"""Many runs as jobs, a row each: `taxeld-hil matrix` has scenarios on objects and skins, seed by
-seed, and says how many find theirs."""
+"""`taxeld-hil matrix`: scenarios on objects and skins, seed by seed, a row a run."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -10,8 +9,7 @@ from taxeld.errors import SetupError
 from taxeld_hil.integrity import is_found
 from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.run.fake import FakeRun
-from taxeld_hil.run.live import LiveRun
-from taxeld_hil.scenario import scenario
+from taxeld_hil.scenario import random_faults, scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.trials.case import digest
 from taxeld_hil.world.subjects import Subject, solid_of
@@ -28,9 +26,10 @@ def matrix(
     skins: Sequence[str],
     seeds: int,
     layouts: Sequence[str],
+    minutes: int = 0,
 ) -> list[Job]:
     """A job for each run of scenarios with bundles, skins and layouts, seed by seed, so that a part
-    of them is as fair as all.
+    of them is as fair as all. `minutes`: of faults that the seed draws; 0: the scenario's own.
 
     Raises:
         SetupError: there is no such scenario, object or skin, an object has no mesh here, or there
@@ -46,16 +45,20 @@ def matrix(
         load_model(subject)
         if subject.physics != "scene":
             solid_of(Subject(subject.bundle), subject.skin_layout)
-    return [of(name, subject, seed) for seed, (name, subject) in product(range(seeds), subjects)]
+    found = []
+    for seed, (name, own) in product(range(seeds), subjects):
+        subject = random_faults.drawn(own, seed, minutes) if minutes else own
+        found.append(of(name, subject, seed))
+    return found
 
 
-def of(name: str, subject: Scenario, seed: int, *, real: bool = False) -> Job:
-    """A run on the fake clock, or in real time."""
+def of(name: str, subject: Scenario, seed: int) -> Job:
+    """A run on the fake clock."""
     bundle, skin, layout, _ = _about(subject, seed).values()
     words = ", ".join(filter(None, [name, bundle, skin, layout, f"seed {seed}"]))
     specs = filter(None, (subject.layout, *subject.layouts))
     code = digest(subject, map(Subject, (subject.bundle, *subject.bundles)), specs)
-    return Job(words, play, (name, subject, seed, real), code=code)
+    return Job(words, play, (name, subject, seed), code=code)
 
 
 def _about(subject: Scenario, seed: int) -> RunRow:
@@ -63,10 +66,9 @@ def _about(subject: Scenario, seed: int) -> RunRow:
     return {"bundle": subject.bundle, "skin": subject.physics, "layout": layout, "seed": seed}
 
 
-def play(name: str, subject: Scenario, seed: int, real: bool) -> RunRow:
+def play(name: str, subject: Scenario, seed: int) -> RunRow:
     """The figures of one run."""
-    run = LiveRun(subject, seed) if real else FakeRun(subject, seed, RATE_HZ)
-    grade = run.graded(Path(name).stem)
+    grade = FakeRun(subject, seed, RATE_HZ).graded(Path(name).stem)
     figures, error_mm = grade.figures, grade.figures["error_mm"]
     return {
         "scenario": name,
@@ -80,8 +82,6 @@ def play(name: str, subject: Scenario, seed: int, real: bool) -> RunRow:
         "misleading_at_s": figures["misleading"]["at_s"],  # begins of episodes
         "faults": figures["faults"],
         "failed": grade.failed,
-        "seconds": grade.run.end_s,
-        "growth_mb": grade.run.growth_mb,
     }
 
 
@@ -90,35 +90,3 @@ def described(run: RunRow) -> str:
     error = "no estimate" if run["error_mm"] is None else f"{run['error_mm']:.1f} mm"
     failed = f"; failed: {', '.join(run['failed'])}" if run["failed"] else ""
     return f"{run['status']}, {error}{failed}"
-
-
-def is_sure(run: RunRow) -> bool:
-    """Whether the object was found, and the daemon sure of it, at the end."""
-    return bool(run["found"] and run["status"] == "converged")
-
-
-def lines(runs: Sequence[RunRow]) -> Iterator[str]:
-    """How often each scenario's object was found and sure at the end, as a Markdown table: a row a
-    scenario and layout, a column a skin and object; with the runs in which a check failed all the
-    same, and those with a misleading estimate."""
-    columns: dict[str, list[RunRow]] = {}
-    for run in runs:
-        name = Path(run["bundle"]).name  # the directory's name of a bundle that is not shipped
-        columns.setdefault(f"{run['skin']}, {name}", []).append(run)
-    yield "| scenario | " + " | ".join(columns) + " |"
-    yield "|---" * (len(columns) + 1) + "|"
-    for layout in dict.fromkeys(run["layout"] for run in runs):
-        on = [[r for r in mine if r["layout"] == layout] for mine in columns.values()]
-        there = f", {layout}" if layout else ""
-        for name in dict.fromkeys(run["scenario"] for run in runs):
-            cells = [_cell([r for r in mine if r["scenario"] == name]) for mine in on]
-            yield f"| {name}{there} | " + " | ".join(cells) + " |"
-        yield f"| **all**{there} | " + " | ".join(map(_cell, on)) + " |"
-
-
-def _cell(runs: Sequence[RunRow]) -> str:
-    sure = list(filter(is_sure, runs))
-    failed = sum(not run["passed"] for run in sure)
-    misled = sum(bool(run["misleading_at_s"]) for run in runs)
-    text = f"{len(sure)} of {len(runs)}" + f", {failed} failed" * bool(failed)
-    return text + f", {misled} misleading" * bool(misled)

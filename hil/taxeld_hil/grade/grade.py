@@ -1,6 +1,6 @@
 """The grade of a session: checks that pass, fail or could not be made, and the figures behind them.
 
-It is read from the session's files alone, whatever run has made them.
+It is read from the session's files alone, whether a run has made them or a daemon on hardware.
 """
 
 import json
@@ -22,6 +22,7 @@ from taxeld_hil import integrity
 from taxeld_hil.grade import session
 from taxeld_hil.grade.flags import signs
 from taxeld_hil.grade.reconcile import laws
+from taxeld_hil.grade.recording import replayed
 from taxeld_hil.grade.session import POSE, Reception, Run
 from taxeld_hil.rules import MARKS
 from taxeld_hil.scenario.scenario import Expect
@@ -30,6 +31,7 @@ from taxeld_hil.world.world import load_model
 GRADE = "grade.json"
 PERCENTILES = {"p50": 50, "p90": 90, "p99": 99, "max": 100}
 EPISODES_KEPT = 100
+LONG_S, GROWTH_MAX_MB = 120.0, 8.0  # of a run whose daemon's memory is graded, and by how much
 UNKNOWN = "not graded: the true pose is not known"
 
 
@@ -63,25 +65,30 @@ class Grade:
 
     def write(self, directory: Path) -> None:
         """Write grade.json."""
-        run = {name: getattr(self.run, name) for name in ("seed", "target", "clock")}
+        run = {name: getattr(self.run, name) for name in ("seed", "clock")}
         about = {"scenario": self.run.name, **run, "transport": self.run.scenario.transport}
         checks = [check._asdict() for check in self.checks]
         made = {**about, "passed": self.passed, "checks": checks, **self.figures}
         (directory / GRADE).write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
 
 
-def grade(directory: Path) -> Grade:
-    """The grade of a session that a run has left.
+def grade(directory: Path, truth: Poses | None = None) -> Grade:
+    """The grade of a session: of one that a run has left by what was published, of any other by its
+    replay. `truth` (3,): of the object, where the session does not have it.
 
     Raises:
         SetupError: a file is missing or damaged, or the scenario's bundle cannot be loaded.
     """
-    run = session.read_run(directory)
-    got, truth = session.read(directory, run.scenario.links), true_pose(directory)
+    if (directory / session.RUN).exists():
+        run = session.read_run(directory)
+        got, scene = session.read(directory, run.scenario.links), None
+    else:
+        run, got, scene = replayed(directory)
+    if truth is None:
+        truth = true_pose(directory)
     figures = _figures(got)
     if truth is not None:
-        scene = load_model(run.scenario.of_link(0)).scene
-        figures |= _truth(run, got, scene, truth)
+        figures |= _truth(run, got, scene or load_model(run.scenario.of_link(0)).scene, truth)
     health = got.health[-1][1] if got.health else {}
     line = run.scenario.transport == "native"
     held = [] if run.ledger is None else laws(run.ledger, health, line=line)
@@ -96,6 +103,9 @@ def grade(directory: Path) -> Grade:
     ]
     if run.ledger is None:
         checks.append(Check("accounts", None, "not graded: only a virtual skin keeps a ledger"))
+    if run.clock == "real" and run.end_s >= LONG_S:
+        text = f"grew by {run.growth_mb:+.1f} MB, under {GROWTH_MAX_MB:g} MB is asked"
+        checks.append(Check("memory", run.growth_mb < GROWTH_MAX_MB, text))
     return Grade(run, tuple(checks), figures)
 
 
@@ -184,7 +194,7 @@ def _misleading(figures: dict[str, Any]) -> Check:
 def _of_fault(seen: dict[str, Any], expect: Expect) -> Iterator[Check]:
     name = f"{seen['kind']} at {seen['at_s']:g} s"
     if not seen["injected"]:
-        yield Check(f"{name}: flag", None, "not injected: not possible on this target")
+        yield Check(f"{name}: flag", None, "not injected: not possible over this transport")
         return
     if seen["flag"] is not None:
         when, soon = seen["detected_s"], seen["within_s"]
@@ -213,8 +223,9 @@ def lines(graded: Grade) -> Iterator[str]:
         yield f"final error {error_mm:.1f} mm (mean distance of its points, up to its symmetry)"
     elif "sure" in figures:
         yield "final error unknown: the last estimate is not valid"
-    where = f"on {run.target} over {run.scenario.transport}, {run.clock} clock"
-    yield f"{run.name}, seed {run.seed}, {where}"
+    is_played = run.ledger is not None
+    how = f"over {run.scenario.transport}, {run.clock} clock" if is_played else run.clock
+    yield f"{run.name}, seed {run.seed}, {how}"
     held = [check for check in graded.checks if check.name.startswith("accounts: ")]
     yield from (str(check) for check in graded.checks if check not in held or not check.passed)
     if held and all(check.passed for check in held):

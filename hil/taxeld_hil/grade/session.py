@@ -34,13 +34,12 @@ class Run:
 
     name: str
     seed: int
-    target: str  # sim, or the device
-    clock: str  # fake, real
+    clock: str  # fake, real; of a recording: replayed
     scenario: Scenario
     end_s: float  # scenario time
     taxels: Sequence[Sequence[int]]  # that each fault is about, as the layout numbers them
     not_injected: Sequence[str] = ()  # kinds of faults that were not possible
-    ledger: dict[str, Any] | None = None  # `Ledger.entries`; None: a real skin keeps none
+    ledger: dict[str, Any] | None = None  # `Ledger.entries`; None: of a recording
     growth_mb: float = 0.0  # of a daemon's memory, in real time
 
     def write(self, directory: Path) -> None:
@@ -94,17 +93,22 @@ def read(directory: Path, links: int) -> Reception:
         with (directory / PUBLISHED).open("rb") as file:
             for at, topic, body in msgpack.Unpacker(file):
                 if topic == topics.ESTIMATE:
-                    rows.extend(_row(at, msgpack.unpackb(body)))
+                    rows.extend(row(at, msgpack.unpackb(body)))
                 else:
                     health.append((at, msgpack.unpackb(body)))
     except (OSError, ValueError, msgpack.UnpackException) as error:
         raise SetupError(f"{directory / PUBLISHED}: cannot be read ({error})") from None
+    return Reception(estimates(rows, links), health)
+
+
+def estimates(rows: Any, links: int) -> Any:
+    """The estimates (N,) of rows (N · columns,), as `row` has them."""
     of_links = [f"link {k}" for k in range(links if links > 1 else 0)]
     names = ["at", *KEYS, *POSE, *messages.STAGES, *of_links]
-    estimates = np.array(rows).view([(name, float) for name in names]).view(np.recarray)
-    return Reception(estimates, health)
+    return np.array(rows).view([(name, float) for name in names]).view(np.recarray)
 
 
-def _row(at: float, e: dict[str, Any]) -> list[float]:
+def row(at: float, e: dict[str, Any]) -> list[float]:
+    """An estimate's message at scenario time `at`."""
     pose, lat = (e["map"][key] for key in POSE), (e["lat_us"][key] for key in messages.STAGES)
     return [at, *(e[key] for key in KEYS), *pose, *lat, *e.get("links", ())]

@@ -1,4 +1,4 @@
-"""Runs in real time: the daemon is a process of its own, fed by a virtual skin or by hardware."""
+"""Runs in real time: the daemon is a process of its own, fed by a virtual skin."""
 
 import subprocess
 import sys
@@ -13,7 +13,6 @@ import msgpack
 import numpy as np
 import zmq
 
-from taxeld.arrays import Poses
 from taxeld.config.tables import SceneConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
@@ -25,10 +24,10 @@ from taxeld.stream import messages, topics
 from taxeld_hil.grade.reconcile import laws
 from taxeld_hil.grade.session import add
 from taxeld_hil.rig.bench import Bench
-from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S, Rig
+from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.session_run import SessionRun, write_truth
 from taxeld_hil.scenario import settings
-from taxeld_hil.scenario.scenario import KINDS, OF_FRAMES, Scenario
+from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
 from taxeld_hil.world.world import load_model
 
 START_S = 60.0  # until the first scan; a busy machine has taken 20 s to start a daemon
@@ -36,14 +35,12 @@ GRACE_S = 5.0  # for the daemon to stop
 STEP_MS = 2
 VCAN = "vcan0"  # of transport can
 COUNTED_S = 20.0  # at most, until the daemon has counted all that it was sent
-CONTACT_S = 120.0  # on hardware: longest that the operator may take for each contact
 NOT_INJECTED = {  # transport → kinds of faults
     "can": ("unplugged", "adapter_closed"),  # something else brings the interface up and down
     "native": ("adapter_closed",),
     "array": OF_FRAMES,
 }
-TARGETS = {"can": "can", "serial": "native", "slcan": "slcan"}  # the target's kind → transport
-ON_HARDWARE = "daemon_killed"  # the one kind of fault that is possible there
+KILLED = "daemon_killed"
 HEADER = (
     "contact  taxels  modes       p  radius [mm]  likeliest x, y, yaw [mm, mm, deg]  error [mm]"
 )
@@ -120,81 +117,44 @@ class LiveDaemon(ExitStack):
 
 
 class LiveRun(SessionRun):
-    """A run in real time. A virtual skin and robot feed the daemon over a transport; or the
-    operator's robot moves and touches, and the daemon listens to the device. Nothing is injected
-    into a real skin; the daemon can be killed."""
+    """A run in real time: a virtual skin and robot feed the daemon over a transport."""
 
     clock = "real"
+    _bench: Bench
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        seed: int,
-        say: Say = lambda _: None,
-        target: str = "sim",
-        poses: str = "",
-        truth: Poses | None = None,
-    ) -> None:
-        """`say` prints lines as the run goes on; `target`: sim, can:can0, serial:/dev/ttyACM0 or
-        slcan:/dev/ttyACM0. Of a real skin `poses` is the robot's endpoint, empty: the sensor stands
-        still, and `truth` (3,) is of the object in the robot's world.
+    def __init__(self, scenario: Scenario, seed: int, say: Say = lambda _: None) -> None:
+        """`say` prints lines as the run goes on.
 
         Raises:
-            SetupError: the target is malformed, the scenario needs the fake clock or does not fit
-                the skin, or the daemon would refuse a bundle on this layout.
+            SetupError: the scenario needs the fake clock or does not fit the skin, or the daemon
+                would refuse a bundle on this layout.
         """
-        kind, _, self._channel = target.partition(":")
-        self.seed, self.target, self._poses, self._say = seed, target, poses, say
-        self._bench: Bench | None = None
-        if target == "sim":
-            self.rigs = [Rig(scenario.in_real_time(), seed)]
-            self.not_injected = NOT_INJECTED.get(scenario.transport, ())
-            truth = self.rigs[0].world.truth
-        elif kind in TARGETS and self._channel:
-            scenario = scenario.over(TARGETS[kind]).in_real_time()
-            self.not_injected = tuple(kind for kind in KINDS if kind != ON_HARDWARE)
-        else:
-            named = ", ".join(f"{name}:DEVICE" for name in TARGETS)
-            raise SetupError(f"--target: '{target}' is none of sim, {named}")
-        self.scenario, self.truth = scenario, truth
-        self._start_s: float | None = None  # of scenario time
+        self.scenario, self.seed, self._say = scenario, seed, say
+        self.rigs = [Rig(scenario.in_real_time(), seed)]
+        self.truth = self.rigs[0].world.truth
+        self.not_injected = NOT_INJECTED.get(scenario.transport, ())
         self._health: dict[str, Any] = {}  # the last
         self._resident_mb = list[float]()  # with each message of health
         self._in_contact, self._most_taxels = False, 0
-        self._is_done = False  # all contacts were made, and the last is over
         self._is_over = False  # all is sent, and counters alone are waited for
         self._scene = load_model(scenario).scene
         known = SceneConfig(bundles=scenario.known)
         bundle.load_all(known, [layouts.load(scenario.skin_layout)])
 
-    @property
-    def t(self) -> float:
-        """Scenario time."""
-        if self._bench is not None:
-            return self._bench.t
-        return BEFORE_S if self._start_s is None else time.monotonic() - self._start_s
-
     def _config(self, place: Path) -> str:
-        level = "warning"
-        if self.rigs:
-            self._where = VCAN if self.scenario.transport == "can" else place / "skin"
-            self._channel, self._poses = str(self._where), f"ipc://{place}/poses"
-            level = "error"  # the daemon warns of injected faults, which are in the ledger
-        text = settings.text(self.scenario, self.seed, self._channel, self._poses, place)
-        return f'{text}[log]\nlevel = "{level}"\n'
+        self._poses = f"ipc://{place}/poses"
+        self._where = VCAN if self.scenario.transport == "can" else place / "skin"
+        text = settings.text(self.scenario, self.seed, str(self._where), self._poses, place)
+        # the daemon warns of injected faults, which are in the ledger
+        return f'{text}[log]\nlevel = "error"\n'
 
     def _play(self, directory: Path, place: Path) -> None:
         """Raises SetupError where a process fails or nothing starts."""
         with ExitStack() as opened:
-            if self.rigs:
-                recorder = opened.enter_context(Recorder(directory, moves=True))
-                self._bench = Bench(self.rigs[0], self._where, self._poses, recorder.take)
-                opened.enter_context(closing(self._bench))
-            else:
-                times = self.scenario.contacts
-                self._say(f"touch the object {times} times, after a second of touching nothing")
-            if self.truth is not None:
-                write_truth(directory, self.truth)
+            recorder = opened.enter_context(Recorder(directory, moves=True))
+            self._bench = Bench(self.rigs[0], self._where, self._poses, recorder.take)
+            opened.enter_context(closing(self._bench))
+            write_truth(directory, self.truth)
             self._say(HEADER + "  object" * (len(self.scenario.known) > 1))
             self.daemon = opened.enter_context(LiveDaemon(directory / session.CONFIG, place))
             self._follow()
@@ -204,27 +164,17 @@ class LiveRun(SessionRun):
 
     def _follow(self) -> None:
         began, bench = time.monotonic(), self._bench
-        killed = [fault for fault in self.scenario.fault if fault.kind == ON_HARDWARE]
-        while not self._ends(max((fault.end_s for fault in killed), default=0.0)):
+        killed = [fault for fault in self.scenario.fault if fault.kind == KILLED]
+        while bench.t < bench.rig.duration_s:
             self._step()
-            is_dead = any(fault.at_s <= self.t < fault.end_s for fault in killed)
-            if self.daemon.act(is_dead=is_dead) and bench is not None:
+            is_dead = any(fault.at_s <= bench.t < fault.end_s for fault in killed)
+            if self.daemon.act(is_dead=is_dead):
                 (bench.port.forget if is_dead else bench.rig.ledger.begin)()
-            if self.t == BEFORE_S and time.monotonic() - began > START_S:
-                cure = "'taxeld-hil accept' checks a skin"
-                raise SetupError(f"{self.target}: no scan came within {START_S:g} s; {cure}")
-        self.end_s = self.t
-        if bench is not None:
-            self._settle(bench)
+            if bench.start_s is None and time.monotonic() - began > START_S:
+                raise SetupError(f"no host started the skin within {START_S:g} s")
+        self.end_s = bench.t
+        self._settle(bench)
         self.daemon.stop()
-
-    def _ends(self, killed_s: float) -> bool:
-        """Whether the time is up, or all contacts are made and the last restart is long over."""
-        if self._bench is not None:
-            return self.t >= self._bench.rig.duration_s
-        is_late = self.t > CONTACT_S * self.scenario.contacts
-        wait_s = self.scenario.expect.recovery_s + SETTLE_S
-        return is_late or (self._is_done and self.t > killed_s + wait_s)
 
     def _settle(self, bench: Bench) -> None:
         """Send what was held back, and wait until all is counted, or for COUNTED_S."""
@@ -251,15 +201,10 @@ class LiveRun(SessionRun):
             else:
                 self._estimated(message)
             if self.published is not None:
-                add(self.published, self.t, topic, body)
-        if self._bench is not None:
-            self._bench.step()
+                add(self.published, self._bench.t, topic, body)
+        self._bench.step()
 
     def _estimated(self, message: dict[str, Any]) -> None:
-        if self._start_s is None and message["t"] > 0.0:
-            self._start_s = time.monotonic()
-        enough = message["contacts"] >= self.scenario.contacts
-        self._is_done = enough and not message["contact"]
         if self._in_contact and not message["contact"]:
             self._say(self._line(message))
             self._most_taxels = 0
@@ -274,10 +219,9 @@ class LiveRun(SessionRun):
             f"{message['p']:7.1%} {1e3 * message['radius_m']:12.1f}    "
             f"({x:7.1f}, {y:7.1f}, {yaw:6.1f})"
         )
-        if self.truth is not None:
-            is_valid = message["valid"]
-            error_m = add_m(self._scene, pose, self.truth)[1] if is_valid else np.nan
-            line += f" {1e3 * error_m:16.1f}"
+        is_valid = message["valid"]
+        error_m = add_m(self._scene, pose, self.truth)[1] if is_valid else np.nan
+        line += f" {1e3 * error_m:16.1f}"
         return line + f"  {messages.object_of(message)}" * (len(self.scenario.known) > 1)
 
 

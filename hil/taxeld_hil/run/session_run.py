@@ -22,8 +22,7 @@ class SessionRun(ABC):
     scenario: Scenario
     clock: str  # fake, real
     seed = 0
-    target = "sim"
-    rigs: Sequence[Rig] = ()  # of each link; a real skin has none
+    rigs: Sequence[Rig]  # of each link
     not_injected: Sequence[str] = ()  # kinds of faults that are not possible
     growth_mb = 0.0  # of the daemon's memory
     end_s = 0.0  # scenario time at the end
@@ -65,12 +64,10 @@ class SessionRun(ABC):
         directory."""
 
     def _about(self, name: str) -> Run:
-        ledgers = [rig.ledger for rig in self.rigs]
-        entries = ledgers[0].entries(*ledgers[1:]) if ledgers else None
-        faults, rigs = self.scenario.fault, self.rigs
-        taxels = [rigs[fault.link].taxels_of(fault) if rigs else () for fault in faults]
-        about = name, self.seed, self.target, self.clock, self.scenario, self.end_s, taxels
-        return Run(*about, self.not_injected, entries, self.growth_mb)
+        first, *others = (rig.ledger for rig in self.rigs)
+        taxels = [self.rigs[fault.link].taxels_of(fault) for fault in self.scenario.fault]
+        about = name, self.seed, self.clock, self.scenario, self.end_s, taxels
+        return Run(*about, self.not_injected, first.entries(*others), self.growth_mb)
 
 
 def write_truth(directory: Path, truth: Poses) -> None:
