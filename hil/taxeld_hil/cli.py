@@ -1,6 +1,7 @@
 """`taxeld-hil`: the harness's commands."""
 
 import argparse
+import math
 import shlex
 import shutil
 import sys
@@ -134,7 +135,11 @@ def _expect(args: argparse.Namespace) -> int:
     subject = Subject(args.object, height_m=args.height_m, depth_m=depth_m)
     conditions = Conditions(foam=args.foam, robot_m=1e-3 * args.robot_mm, robot_told=True)
     made = expect.cases(subject, args.layout, conditions, args.touches, jobs.MEMORY / "expect")
-    runs = _done(expect.jobs(made, args.seeds), args, expect.described)
+    seeds = expect.QUICK if args.quick else args.seeds
+    todo = expect.jobs(made, seeds)
+    minutes = math.ceil(len(todo) * expect.TRIAL_S / 60.0)
+    _say(f"{len(todo)} trials of {seeds} seeds ({', '.join(made)}): {minutes} minutes of a core")
+    runs = _done(todo, args, expect.described)
     _say("\n".join(expect.written(made[expect.AS_IS], runs, args.out)))
     return 0
 
@@ -237,7 +242,10 @@ COMMANDS: dict[Run, Arguments] = {
         given("--height-m", "H", "the sensor frame's, over the object's foot (as it fits)", float),
         given("--depth-mm", "D", "of the foam, at full scale (5, or the bundle's)", float),
         given("--touches", "N", "default: 8", int, default=8),
-        given("--seeds", "N", "trials (60)", int, default=60),
+        [
+            given("--seeds", "N", "trials of each kind (40)", int, default=40),
+            flag("--quick", "10 of them: a quarter of the time, and less is shown"),
+        ],
         jobs.WORKERS,
         given("--out", "DIR", "for the JSON", Path, default=Path("expect")),
     ),

@@ -124,7 +124,9 @@ def run(
     for done, (job, result) in enumerate(_results(todo, workers), 1):
         results[job.name] = result
         _write(job, memory, result)
-        taken = f"{done} of {len(todo)}, {time.monotonic() - began_s:.0f} s"
+        spent_s = time.monotonic() - began_s
+        left_s = spent_s * (len(todo) - done) / done
+        taken = f"{done} of {len(todo)}, {spent_s:.0f} s, {left_s:.0f} s left"
         _say(": ".join(filter(None, (taken, job.name, describe(result)))))
     return results
 

@@ -1,15 +1,17 @@
 """What is expected of a skin before it is bought: the table, what would help."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model import se2
-from taxeld_hil import cli
+from taxeld_hil import cli, jobs
 from taxeld_hil.experiment import expect
 from taxeld_hil.experiment.expect import AS_IS, cases
 from taxeld_hil.experiment.runs import RunRow
@@ -46,7 +48,7 @@ def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance
     runs += [*many("calibration", 10, 1), *many("larger patch", 10, 3, 9)]
     best, none, worst = expect.helps(runs)
     assert (best.name, best.verdict) == ("calibration", "would help")
-    assert (none.name, none.verdict) == ("larger patch", "no difference seen")
+    assert (none.name, none.verdict) == ("larger patch", "not shown to help")
     assert (worst.name, worst.verdict) == ("deeper foam", "would hurt")
     assert (best.trials, best.after) == (10, 4), "touches"
     assert best.found == best.found_and_sure == (0.5, 1.0)
@@ -103,11 +105,26 @@ def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
     assert "calibration" in first.out
     found = json.loads((tmp_path / "expect.json").read_text(encoding="utf-8"))
     assert len(found["touches"]["found"]) == 3
-    assert len(found["runs"]) == 5
+    assert len(found["runs"]) == 8
     assert cli.main(command) == 0
     again = capsys.readouterr()
     assert again.out == first.out
     assert again.err == ""
+
+
+@pytest.mark.parametrize(("more", "seeds"), [([], 40), (["--quick"], 10)])
+def test_every_seed_tries_what_would_help_and_what_that_costs_is_said_before(
+    more: list[str], seeds: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(todo: list[jobs.Job], *_: object, **__: object) -> None:
+        raise SetupError(f"{len(todo)} jobs")
+
+    monkeypatch.setattr(jobs, "run", stop)
+    assert cli.main(["expect", "--object", "box", "--foam", "scene", *more]) == 2
+    printed, jobs_begun = capsys.readouterr()
+    assert jobs_begun == f"{4 * seeds} jobs\n"
+    said = f"{4 * seeds} trials of {seeds} seeds (as it is, calibration, larger patch, deeper foam)"
+    assert re.match(rf"{re.escape(said)}: \d+ minutes of a core\n", printed)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +135,6 @@ def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
         (["--object", "box", "--depth-mm", "0"], "--depth-mm: must be 0.1..50, not 0"),
         (["--object", "box", "--height-m", "5"], "no taxel is at a height of the object"),
         (["--object", "box", "--seeds", "0"], "--seeds must be at least 1"),
-        (["--object", "box", "--quick"], "expect --quick: is gone; say --seeds 2 --touches 3"),
         (["--object", "box", "--foam", "wet"], "no foam 'wet'"),
     ],
 )

@@ -79,7 +79,7 @@ def test_each_job_is_told_of_with_its_result_and_what_is_remembered_is_counted(
     jobs.run(three(tmp_path)[:1], memory, describe=lambda result: f"square {result['square']}")
     first, *_ = capsys.readouterr().err.splitlines()
     assert first.startswith("1 of 1, ")
-    assert first.endswith(" s: job-0: square 0")
+    assert first.endswith(" s, 0 s left: job-0: square 0")
     jobs.run(three(tmp_path), memory, workers=1)
     remembered, *rest = capsys.readouterr().err.splitlines()
     assert remembered == f"1 of 3 runs are remembered in {memory}"

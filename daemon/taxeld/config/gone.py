@@ -26,7 +26,6 @@ GONE: dict[str, str] = {
     "taxeld-hil matrix --real": "'taxeld-hil run' plays a scenario in real time",
     **{f"taxeld-hil {name} --memory": KEPT for name in ("expect", "matrix")},
     "taxeld-hil expect --minutes": "stop it when you like: the same command goes on",
-    "taxeld-hil expect --quick": "say --seeds 2 --touches 3",
     **{f"taxeld-hil emulate --{name}": IN_FILE for name in ("foam", "layout", "skin")},
     "taxeld-hil run --limit-s": "a run on hardware may take two minutes a contact",
     **{f"taxeld-train evaluate {name}": WHOLE for name in ("ablation", "filter", "frontier")},
