@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from taxeld_hil.trials.case import Case
 from taxeld_hil.trials.play import Touch
@@ -88,10 +89,32 @@ def test_intervals_are_over_seeds_and_one_seed_in_many_cells_is_no_more_trials()
     assert low < once["found"][0] / 40 < high
 
 
-def test_a_share_of_none_or_all_is_not_certain_and_a_seed_counts_once() -> None:
-    few, many = (row(*(played(*[[GOOD]] * 20, cell=str(k)) for k in range(n))) for n in (1, 9))
-    assert few["ci"]["found"] == many["ci"]["found"] == [[pytest.approx(0.839, abs=1e-3), 1.0]]
-    assert few["ci"]["misleading"] == [0.0, pytest.approx(0.161, abs=1e-3)]
+def test_of_one_trial_a_seed_an_interval_is_clopper_and_pearsons_and_leaps_nowhere() -> None:
+    ends = []
+    for count in range(21):
+        of_seed = (np.arange(20) < count).astype(float)
+        ends.append(score.of_share(of_seed, np.ones(20), np.arange(20)))
+        exact = stats.binomtest(count, 20).proportion_ci(0.95, "exact")
+        assert ends[-1] == pytest.approx([exact.low, exact.high], abs=0.01)
+    steps = np.diff(ends, axis=0)
+    assert (steps >= 0.0).all()
+    assert steps.max() < 2.0 / 20.0
+    assert score.of_share(np.zeros(20), np.zeros(20), np.arange(20)) is None
+
+
+@pytest.mark.parametrize("share", [0.002, 0.01, 0.1, 0.6])
+def test_nineteen_of_twenty_intervals_hold_the_share_also_where_hardly_any_trial_obeys(
+    share: float,
+) -> None:
+    """Of 40 seeds with ten trials each, each with as many sure estimates as it happens to have, all
+    of them right or all wrong; seeds differ in how likely that is."""
+    rng, seeds, held, runs = np.random.default_rng(0), np.repeat(np.arange(40), 10), 0, 300
+    for _ in range(runs):
+        own = rng.beta(20.0 * share, 20.0 * (1.0 - share), 40)
+        sure = rng.integers(0, 9, 400).astype(float)
+        low, high = score.of_share(sure * (rng.random(400) < own[seeds]), sure, seeds) or (1, 0)
+        held += low <= share <= high
+    assert held / runs > 0.92
 
 
 def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:

@@ -8,6 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from typing import Any, TypeAlias
 
@@ -21,7 +22,8 @@ from taxeld_training.trials.questions import Cell, Labels
 
 Row: TypeAlias = dict[str, Any]  # {"of": labels, figure: …, "ci": {figure: interval}}
 
-LEVEL, DRAWS = 0.95, 400  # of intervals: by a bootstrap, of so many draws
+LEVEL = 0.95  # of intervals
+DRAWS, WEIGHINGS = 400, 4000  # of seeds, for an interval of a figure, and of a share
 BINS = 10  # of p
 QUIET = 0.1  # share of the quickest seconds that tell what a quiet machine takes
 COLUMNS = {name: k for k, name in enumerate(Touch._fields) if name not in ("objects", "status")}
@@ -116,20 +118,26 @@ def of_share(obeys: Floats, among: Floats, seeds: Index) -> list[float] | None:
     """Interval of the share of `among` (n,) that `obeys` (n,) is, both counts of a trial each, with
     seeds (n,); None of nothing.
 
-    Trials of one seed depend on each other, so seeds are drawn anew, each with all its trials. The
-    shares none and all have no spread: there each seed counts as one trial (Wilson).
+    Trials of one seed depend on each other, so each seed is weighed anew, with all its trials (a
+    Bayesian bootstrap), beside one mean trial more that has not been seen: all of it obeys for the
+    upper end, nothing for the lower. Of one trial a seed that is Clopper and Pearson's interval.
     """
     _, at = np.unique(seeds, return_inverse=True)
     part, all_of = (np.bincount(at, each) for each in (obeys, among))
-    if not all_of.sum():
+    if not all_of.any():
         return None
-    if part.sum() in (0.0, all_of.sum()):
-        total = int((all_of > 0.0).sum())
-        of_all = stats.binomtest(total if part.sum() else 0, total)
-        return rounded(of_all.proportion_ci(LEVEL, "wilson"))
-    pick = np.random.default_rng(0).integers(len(part), size=(DRAWS, len(part)))
-    drawn_of = all_of[pick].sum(axis=1)
-    return _middle((part[pick].sum(axis=1) / np.maximum(drawn_of, 1.0))[drawn_of > 0.0])
+    weight, more = _weights(len(part))
+    more = more * all_of.sum() / np.count_nonzero(among)
+    obeyed, total = weight @ part, weight @ all_of + more
+    low, high = (_middle(of / total) for of in (obeyed, obeyed + more))
+    return [low[0], high[1]]
+
+
+@cache
+def _weights(seeds: int) -> tuple[Floats, Floats]:
+    """Weights (`WEIGHINGS`, `seeds`) of seeds, and of a trial more (`WEIGHINGS`,)."""
+    drawn = np.random.default_rng(0).exponential(size=(WEIGHINGS, seeds + 1))
+    return drawn[:, 1:], drawn[:, 0]
 
 
 def by_seeds(
