@@ -1,4 +1,4 @@
-"""`make bench`: cost of the wire, of a touch and of a running daemon, beside their budgets.
+"""`make bench`: cost of the wire, of an update and of a running daemon, beside their budgets.
 
 CPU time and counts, medians over rounds; wall-clock figures are printed, not judged. The last row
 says how fast this machine is (yardstick.py).
@@ -33,7 +33,7 @@ SATURATED_FRAMES_S = 9_000  # most frames of 8 bytes on a bus of 1 Mbit/s
 
 
 def main() -> None:
-    service.show([*decoding(), *touches()])
+    service.show([*decoding(), *updates()])
     service.show(service.rows(service.SECONDS))
     service.show([("a loop of the yardstick: CPU ms", yardstick.loop_ms(), None)])
 
@@ -58,8 +58,8 @@ def decoding() -> list[Row]:
     return [("fragments to scans, frames/s (at least)", rate, 10.0 * SATURATED_FRAMES_S)]
 
 
-def touches() -> list[Row]:
-    """One touch through the estimator with S = 100, N = 100, by the shipped sampler, with the code
+def updates() -> list[Row]:
+    """One update on contact through the estimator with S = 100, N = 100, by the shipped sampler, with the code
     in C and without."""
     skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("box", skin, 0.005)
@@ -88,7 +88,7 @@ def touches() -> list[Row]:
                 for gap in (0.1, 0.3):
                     estimator.on_scan(Activation(t + gap, 0.0 * z, live), sensor)
                 t += 1.0
-        rows.append((f"a touch, {how}: CPU ms", float(np.median(spent)), budget))
+        rows.append((f"an update on contact, {how}: CPU ms", float(np.median(spent)), budget))
     del os.environ[native.SWITCH]
     native.library.cache_clear()
     return rows

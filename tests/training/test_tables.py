@@ -117,7 +117,9 @@ def test_charts_are_small_and_drawn_again_with_the_same_bytes(name: str, tmp_pat
     assert data == (tmp_path / "b.png").read_bytes()
 
 
-def test_a_file_names_its_commit_which_answers_in_docs_do_not_change(tmp_path: Path) -> None:
+def test_a_file_names_its_commit_which_answers_in_docs_do_not_change_and_is_old_once_the_belief_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def git(*words: str) -> None:
         person = ("-c", "user.name=taxeld", "-c", "user.email=taxeld@example.org")
         subprocess.run(["git", "-C", str(tmp_path), *person, *words], check=True)
@@ -134,3 +136,14 @@ def test_a_file_names_its_commit_which_answers_in_docs_do_not_change(tmp_path: P
     assert run.commit(tmp_path) == clean
     (tmp_path / "code.py").write_text("2", "utf-8")
     assert run.commit(tmp_path) == f"{clean}-dirty"
+    monkeypatch.setattr(tables, "DOCS", tmp_path / "docs")
+    jobs.save(tmp_path / "docs" / "results" / "map.json", "rows", [], {"commit": f"{clean}-dirty"})
+    for changed, lines in (
+        ("tests", []),
+        ("daemon/taxeld/skin", [f"map.json: of {clean}"]),
+    ):
+        (tmp_path / changed).mkdir(parents=True)
+        (tmp_path / changed / "x.py").write_text("3", "utf-8")
+        git("add", ".")
+        git("commit", "-qm", "Change it")
+        assert [line.partition(";")[0] for line in tables.older()] == lines

@@ -5,7 +5,6 @@ on where it stopped, and one with more seeds adds to those that there are.
 """
 
 import json
-import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -128,14 +127,6 @@ def commit(place: Path) -> str:
     """The commit of a folder's repository; `-dirty` if a file has changed since, outside of `docs`,
     where answers are written."""
 
-    def said(*words: str) -> str:
-        asked = subprocess.run(  # noqa: S603
-            ["git", "-C", str(place), *words],  # noqa: S607
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        return asked.stdout.strip()
-
-    changed = said("status", "--porcelain", "-uno", "--", ":/", ":(top,exclude)docs")
-    return (said("rev-parse", "--short=8", "HEAD") or "unknown") + "-dirty" * bool(changed)
+    changed = tables.git(place, "status", "--porcelain", "-uno", "--", ":/", ":(top,exclude)docs")
+    own = tables.git(place, "rev-parse", "--short=8", "HEAD")
+    return (own or "unknown") + "-dirty" * bool(changed)

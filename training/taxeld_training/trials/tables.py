@@ -1,6 +1,7 @@
 """Rows of answers as files and as tables, and the pages that show them.
 
-    python -m taxeld_training.trials.tables           fails where a page and its rows disagree
+    python -m taxeld_training.trials.tables           fails where a page and its rows disagree, and
+                                                      names rows that are older than the belief
     python -m taxeld_training.trials.tables --write   writes the pages' tables anew
 
 A block of a page stands between `<!-- figures: NAME | SPEC -->` and `<!-- end -->`;
@@ -9,8 +10,9 @@ A block of a page stands between `<!-- figures: NAME | SPEC -->` and `<!-- end -
 
 import json
 import re
+import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -26,9 +28,11 @@ HEADS = {
     "covered": "within its radius",
     "path_mm": "mm (10–90 %)",
     "misleading_at": "misleading after",
+    "ms": "ms a touch",
     "ece": "error of p",
     "to_sure": "touches to sure",
 }
+BELIEF = "bundles", "estimator", "model", "pipeline", "proposals", "skin"  # rooms of the daemon
 DOCS = Path(__file__).parents[3] / "docs"
 BLOCK = re.compile(r"(<!-- figures: (\w+) \| ([^\n]*) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
@@ -166,7 +170,25 @@ def main(arguments: list[str]) -> int:
             stale += 1
             name = page.relative_to(DOCS.parent)
             sys.stderr.write(f"{name}: not what its rows say; --write fills it\n")
+    sys.stderr.writelines(f"{line}\n" for line in older())
     return int(stale > 0)
+
+
+def older() -> Iterator[str]:
+    """A line for each file of rows whose commit is older than the last one that changes what the
+    daemon believes, as far as this tree's history goes."""
+    rooms = [f":(top)daemon/taxeld/{room}" for room in BELIEF]
+    for path in sorted((DOCS / "results").glob("*.json")):
+        made = json.loads(path.read_text(encoding="utf-8"))["commit"].removesuffix("-dirty")
+        later = git(DOCS, "rev-list", "--count", f"{made}..HEAD", "--", *rooms)
+        if later.strip("0"):
+            yield f"{path.name}: of {made}; commits since then that change the belief: {later}"
+
+
+def git(place: Path, *words: str) -> str:
+    """What git says in a folder; empty where it fails."""
+    asked = ["git", "-C", str(place), *words]
+    return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()  # noqa: S603
 
 
 if __name__ == "__main__":
