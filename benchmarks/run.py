@@ -59,8 +59,8 @@ def decoding() -> list[Row]:
 
 
 def updates() -> list[Row]:
-    """One update on contact through the estimator with S = 100, N = 100, by the shipped sampler, with the code
-    in C and without."""
+    """One update on contact with S = 100, N = 100, by the bundle's first choice, with the code in C
+    and without."""
     skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("box", skin, 0.005)
     model = loaded.model

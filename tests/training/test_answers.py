@@ -10,12 +10,12 @@ import pytest
 
 from taxeld_hil.cli import main as harness
 from taxeld_hil.integrity import Claims
-from taxeld_hil.trials.case import TABLED, Case, Method
+from taxeld_hil.trials.case import TABLED, Case
 from taxeld_hil.trials.play import play
 from taxeld_hil.world.subjects import Subject
 from taxeld_training import closing
 from taxeld_training.cli import main
-from taxeld_training.trials import limit, questions, run, samplers
+from taxeld_training.trials import questions, run, samplers
 from taxeld_training.trials.questions import Selection
 from taxeld_training.trials.run import Workers
 
@@ -99,16 +99,6 @@ def test_charts_stand_beside_the_rows(block: Path, tmp_path: Path) -> None:
     asked(tmp_path, block, "whole", "--cells", "table,table 25,table 50", "--seeds", "1")
     for name in ("map", "front"):
         assert 5_000 < (tmp_path / "out" / f"{name}.png").stat().st_size < 300_000
-
-
-def test_the_grid_meets_the_trials_of_what_ships_and_looks_once(block: Path) -> None:
-    case = Case((Subject(str(block)),), layouts=(RING,), touches=2)
-    ours, grid = play(case, 1), limit.play(replace(case, method=Method("grid")), 1)
-    assert len(ours) == len(grid) == 2
-    assert math.isnan(grid[0].error_mm)
-    assert math.isfinite(grid[1].error_mm)
-    assert grid[1].particles > 0
-    assert all(math.isnan(touch.p) for touch in grid), "it publishes no p"
 
 
 def test_samplers_are_trained_once_and_measured_by_the_exact_posterior(

@@ -2,12 +2,12 @@
 
 import pytest
 
-from taxeld.config.tables import FilterConfig
-from taxeld.estimator.estimator import Estimator
 from taxeld.model.symmetry import add_m
+from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.analytic import Table
+from taxeld.proposals.samples import Samples
 from taxeld_hil.trials.case import Case
-from taxeld_hil.trials.play import moments
+from taxeld_hil.trials.play import SEEN_S, Direct, world_of
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.subjects import Subject, model_of
 
@@ -21,12 +21,12 @@ def ends(given: Conditions) -> list[tuple[float, float]]:
     model = model_of(BOX, *case.specs)
     found = []
     for seed in range(SEEDS):
-        estimator = Estimator(model, Table(model), FilterConfig(seed=seed), 0.001)
-        for moment in moments(case, seed):
-            activation, sensor = moment.outcome.activation, moment.outcome.sensor
-            if activation is not None and sensor is not None:
-                estimate = estimator.on_scan(activation, sensor)
-        error = 1e3 * add_m(model.scene, estimate.map, moment.truth)[1]
+        world = world_of(case, seed)
+        pipeline = Pipeline(case.config(seed), [model.layout], [model], Samples([Table(model)]))
+        for _ in Direct(world, pipeline).outcomes(world.touched_s()[-1, 1] + SEEN_S):
+            pass
+        estimator = pipeline.estimator
+        error = 1e3 * add_m(model.scene, pipeline.estimate.map, world.truth)[1]
         found.append((error, estimator.rule.memory.slack.scale))
     return found
 

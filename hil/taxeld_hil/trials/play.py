@@ -50,14 +50,6 @@ class Touch(NamedTuple):
     path_mm: float = math.nan  # median error over a push
 
 
-class Moment(NamedTuple):
-    """A scan of a trial."""
-
-    touch: int
-    outcome: Outcome
-    truth: Poses  # (3,) of the object in the world
-
-
 class Direct:
     """Drives a world and a pipeline together, scan by scan."""
 
@@ -122,21 +114,6 @@ def play(case: Case, seed: int) -> list[Touch]:
         world.push()
         found.append(_noted(direct, world.duration_s, true, 0.0))
     return found
-
-
-def moments(case: Case, seed: int) -> Iterator[Moment]:
-    """The scans of the trial of a seed, as a pipeline without an object makes activations of them;
-    for filters of another kind. Its guide must be one that needs no filter.
-
-    Raises:
-        SetupError: the object or a layout cannot be found, read or used.
-    """
-    world = world_of(case, seed)
-    layouts = [link.layout for link in world.links]
-    direct = Direct(world, Pipeline(case.config(seed), layouts, [], Samples()))
-    for touch, note_s in enumerate(world.touched_s()[:, 1] + SEEN_S):
-        for outcome in direct.outcomes(note_s):
-            yield Moment(touch, outcome, world.truth_at(direct.t - SCAN_S))
 
 
 def _number(case: Case) -> int:

@@ -18,7 +18,6 @@ from taxeld_hil.world.subjects import Subject
 
 Labels: TypeAlias = Mapping[str, str | tuple[str, ...]]  # by kind; of several values each counts
 
-GRID = "grid"  # the proposal of the limit
 FOAMS = "exact", "typical", "poor"  # cells
 ALL, TUNED, NEW, SOFT, WRONG = "all", "tuned", "not tuned", "soft skin", "another object"  # parts
 LOOKED_AT = "two"  # objects on which the filter's constants were set
@@ -104,7 +103,6 @@ def load(name: str, asked: Selection) -> Question:
         given["tilts"] = given.get("tilts", [])[:1]
         given["columns"] = given.get("columns", [])[:1]
         given["readings"] = QUICK_READINGS
-        given["methods"] = [each for each in given.get("methods", ["table"]) if each != GRID]
         if not asked.only:
             given["cells"] = given["cells"][:QUICK_CELLS]
     for each in () if given.get("tilts") else (*given["objects"], *given["strangers"]):
@@ -148,8 +146,6 @@ def cells(question: Question, asked: Selection) -> list[Cell]:
 
 def _method(given: Mapping[str, Any], particles: int) -> Method:
     """A filter of the table of methods, or of so many `particles`."""
-    if given.get("proposal") == GRID:
-        return Method(GRID)
     more = {"particles": particles, "particles_max": 0} if particles else {}
     return replace(TABLED, **{**given, **more})
 

@@ -19,13 +19,11 @@ from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
 from taxeld_hil.trials.case import Case
 from taxeld_hil.trials.play import play
-from taxeld_training.trials import limit, questions, real, samplers, score, tables
+from taxeld_training.trials import questions, real, samplers, score, tables
 from taxeld_training.trials.questions import Cell, Question, Selection
 from taxeld_training.trials.score import Played
 
 BLOCK = 10  # seeds a job
-GRID_BLOCK = 2  # a trial of the grid takes seconds
-LIMITS = "taxeld_training/limits/*.py", "taxeld_training/trials/limit.py"  # code of the grid
 
 
 class Workers(NamedTuple):
@@ -79,13 +77,11 @@ def run(
     todo = [list[Job]() for _ in cells]
     for cell, mine in zip(cells, todo, strict=True):
         case = cell.case
-        is_grid = case.method.proposal == questions.GRID
-        size, code = (GRID_BLOCK, jobs.code(LIMITS)) if is_grid else (BLOCK, "")
         beside = tuple(files.get(one, "") for one in samplers.wanted(case))
-        for first in range(0, len(seeds), size):
-            block = seeds[first : first + size]
+        for first in range(0, len(seeds), BLOCK):
+            block = seeds[first : first + BLOCK]
             name = f"{cell.labels['object']} by {case.method.proposal} {case.digest}-{block[0]}"
-            mine.append(Job(name, trials, (case, block), (beside,), case.digest + code))
+            mine.append(Job(name, trials, (case, block), (beside,), case.digest))
     in_turn = [job for block in zip_longest(*todo) for job in block if job]
     done = workers.run(list({job.name: job for job in in_turn}.values()))
     return [
@@ -98,8 +94,7 @@ def trials(case: Case, seeds: Sequence[int], files: Sequence[str]) -> list[list[
     """A job: of each seed the fields of each touch; `files` have the samplers of known objects."""
     known = [replace(one, sampler=file) for one, file in zip(case.known, files, strict=True)]
     case = replace(case, known=tuple(known))
-    follow = limit.play if case.method.proposal == questions.GRID else play
-    return [[score.without_nan(list(touch)) for touch in follow(case, seed)] for seed in seeds]
+    return [[score.without_nan(list(touch)) for touch in play(case, seed)] for seed in seeds]
 
 
 def _records(played: Sequence[Played], path: Path) -> Path:
