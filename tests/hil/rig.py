@@ -1,28 +1,32 @@
-"""The skin, object and scenario of most tests; and a skin of known gains that is pressed."""
+"""The skin, object and scenario of most tests; and a soft skin that is pressed to be calibrated."""
 
 import shutil
-from dataclasses import dataclass
+from functools import lru_cache
 from itertools import count
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.layout import read as layouts
-from taxeld.model import contacts, se2
-from taxeld.model.observation import ObservationModel
-from taxeld.model.response import response
+from taxeld.model import se2
+from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
+from taxeld.proposals.samples import Samples
 from taxeld.source.recorder import Recorder
-from taxeld_hil.calibration.fit import depths
-from taxeld_hil.calibration.presses import Presses
+from taxeld_hil.calibration.presses import Observer, Presses
 from taxeld_hil.grade.grade import Grade
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.trials.case import Case
+from taxeld_hil.trials.play import SCAN_S, Direct, world_of
+from taxeld_hil.world.conditions import Conditions
+from taxeld_hil.world.subjects import Subject
+from taxeld_hil.world.world import IDLE_S, World
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.rig.simulated_skin import PERIOD_S, SimulatedSkin
 from tests.rig.virtual_hub import frames_of, told
 
 DEMO = scenario.load("demo")
@@ -30,10 +34,9 @@ SKIN = layouts.load(DEMO.skin_layout)
 MODEL = bundle.load("box", SKIN, 0.005).model
 MODULES = wired(SKIN.uid.tolist())
 TRUTH = np.array([0.05, -0.1, 0.7])  # pose of a touched object
-PLACED = np.array([0.05, -0.04, 0.6])  # pose of the object that calibrates
-BASE, HELD_S = 10_000, 0.4
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # turns between stretches of skin: even at any count
-FIRM = 0.4  # of full scale: a corner between two columns is pressed less
+MOUNT = np.array([0.004, -0.003, 0.05])  # of the sensor's frame in that of the robot's poses
+BEGUN_S = 100.0  # Unix time at which a session begins
+STILL = 10_000  # counts
 
 
 def passing(
@@ -60,81 +63,61 @@ def passing(
     raise AssertionError
 
 
-@dataclass(frozen=True)
-class PressedSkin:
-    """M taxels, and K places of the sensor at which it presses."""
+def pressing(seed: int, **given: object) -> tuple[Case, World]:
+    """A robot that presses the box 20 times, as a calibration asks, with a skin of that foam, whose
+    mount its poses lack."""
+    usual = {"foam": "typical", "press": (0.7, 0.96), "hold_s": 0.4, "robot_told": True}
+    conditions = Conditions(**(usual | given))  # type: ignore[arg-type]
+    case = Case((Subject("box"),), conditions=conditions, guide="around", touches=20)
+    world = world_of(case, seed)
+    stated = world.stated
+    world.stated = lambda t, link=0: se2.compose(  # type: ignore[method-assign]
+        stated(t, link), se2.inverse(MOUNT)
+    )
+    return case, world
 
-    model: ObservationModel
-    sensor: Poses  # (K, 3) of the sensor itself
-    mount: Poses
-    full_scale: float
-    gain: Floats
-    onset: Floats
-    bend: float
-    noise: float
 
-    @classmethod
-    def drawn(cls, model: ObservationModel, seed: int, presses: int = 20) -> "PressedSkin":
-        rng, taxels, scene = np.random.default_rng(seed), len(model.layout), model.scene
-        held: list[Poses] = []
-        while len(held) < presses:  # round the object, with every side of the skin in turn
-            angle = 2.0 * np.pi * (len(held) + rng.uniform(-0.3, 0.3)) / presses
-            ahead = np.array([np.cos(angle), np.sin(angle)])
-            aside = 0.35 * rng.uniform(-1.0, 1.0) * np.array([-ahead[1], ahead[0]])
-            x, y = (scene.centre + scene.size * (ahead + aside))[:, None]
-            yaw = np.pi + angle - 2.0 * np.pi * GOLDEN * len(held)
-            beside, depth_m = contacts.pose_of_axis(x, y, -yaw), rng.uniform(0.0034, 0.0048, 1)
-            press, _ = contacts.project(scene, model.layout.radius_m, beside, depth_m)
-            if model.activation(press).max() > FIRM:
-                held += [*press]
-        return cls(
-            model,
-            se2.compose(PLACED, se2.inverse(np.array(held))),
-            rng.uniform(-1.0, 1.0, 3) * [0.004, 0.004, 0.07],
-            float(rng.uniform(12_000.0, 30_000.0)),
-            np.exp(0.15 * rng.standard_normal(taxels)),
-            0.1 + 0.5 * rng.standard_normal(taxels),
-            float(rng.uniform(-0.05, 0.15)),
-            20.0,
-        )
+class Pressed(NamedTuple):
+    """A world of M taxels, and what a calibration finds in its scans."""
 
-    @property
-    def told(self) -> Poses:
-        """(K, 3) what the robot says."""
-        return se2.compose(self.sensor, se2.inverse(self.mount))
+    world: World
+    presses: Presses
+    noise: Floats  # (M,) sd of a reading at rest [counts]
+    placed: Poses  # (3,) of the object
 
-    def counts(self, sensor: Poses) -> Floats:
-        """(K, M) over baseline, at poses of the sensor itself."""
-        h = depths(self.model, se2.compose(se2.inverse(sensor), PLACED))
-        return self.full_scale * self.gain * response(h, self.bend, self.onset)
 
-    def presses(self, seed: int = 0) -> Presses:
-        counts = self.counts(self.sensor)
-        counts = counts + self.noise * np.random.default_rng(seed).standard_normal(counts.shape)
-        return Presses(self.told, counts, np.ones_like(counts, dtype=bool))
+@lru_cache
+def pressed(seed: int, **given: object) -> Pressed:
+    case, world = pressing(seed, **given)
+    observer = Observer(Pipeline(case.config(seed), [SKIN], [], Samples()))
+    for outcome in Direct(world, observer.pipeline).outcomes(world.duration_s):
+        observer.on_outcome(outcome)
+    state = observer.pipeline.skin.state()
+    assert state is not None
+    return Pressed(world, observer.found()[0], state.noise, world.truth)
 
 
 def write_session(
-    directory: Path, skin: PressedSkin, idle_s: float = 12.0, frozen: tuple[int, ...] = ()
+    directory: Path,
+    world: World,
+    idle_s: float = 12.0,
+    end_s: float = np.inf,
+    frozen: tuple[int, ...] = (),
 ) -> None:
-    """A CAN session of that skin, from 100 s on: idle, then each press held, and away between."""
-    simulated, hub = SimulatedSkin(skin.model.layout, 1, skin.noise), VirtualIhb(MODULES)
-    simulated.fixed = dict.fromkeys(frozen, BASE)
-    away, t = np.array([0.6, 0.6, 0.0]), 100.0
-    stays = [(away, idle_s)]
-    for told_at in skin.told:
-        stays += [(told_at, HELD_S), (away, 0.25)]
+    """A CAN session of a world up to a scenario time, which begins so long before the first touch;
+    `frozen`: channels of a scan that never change."""
+    hub, begin_s = VirtualIhb(world.modules[0]), BEGUN_S + idle_s - IDLE_S
     with Recorder(directory, moves=True) as recorder:
-        for frame in frames_of(told(hub), t=t):
+        for frame in frames_of(told(hub), t=BEGUN_S):
             recorder.take(frame)
-        for told_at, seconds in stays:
-            simulated.press = skin.counts(se2.compose(told_at, skin.mount)[None])[0]
-            for _ in range(round(seconds / PERIOD_S)):
-                t += PERIOD_S
-                for at in (t - 0.03, t):
-                    recorder.take((at, *told_at.tolist()))
-                for frame in frames_of(hub.sensor_data(simulated.scan().counts), t=t):
-                    recorder.take(frame)
+        for t in np.arange(IDLE_S - idle_s, min(end_s, world.duration_s), SCAN_S):
+            for at in (t - 0.03, t):
+                recorder.take((begin_s + at, *world.stated(at).tolist()))
+            counts = world.step(t).counts
+            for channel in frozen:
+                counts[channel] = STILL
+            for frame in frames_of(hub.sensor_data(counts), t=begin_s + t):
+                recorder.take(frame)
     (directory / "config.toml").write_text(
         '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
         '[filter]\nproposal = "manifold"\nparticles = 60\nparticles_max = 60\ninjected = 20\n',

@@ -60,7 +60,11 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
     for outcome in outcomes(directory, observer.pipeline):
         observer.on_outcome(outcome)
     (presses, unheld), idle_s = observer.found(), observer.idle_s
-    model, skin, estimate = observer.model, observer.pipeline.skin, observer.pipeline.estimate
+    model, skin, estimate = (
+        observer.pipeline.estimator.model,
+        observer.pipeline.skin,
+        observer.pipeline.estimate,
+    )
     what, cure = "seconds untouched at first", "touch nothing in that time"
     untouched = at_least("rest", what, idle_s, LEAST_IDLE_S, cure)
     require([untouched, *press_rules(model, presses)], "calibrate")
@@ -223,10 +227,13 @@ def _values(c: Calibration, fit: FitResult, *, given: bool) -> list[Rule]:
 
 def errors_of(model: ObservationModel, presses: Presses, noise: Floats, fit: FitResult) -> Noise:
     """The filter's noise under which the presses are likeliest. Each press is judged by a fit to
-    other presses: a fit explains its own too well."""
+    other presses: a fit explains its own too well. Its place is as fitted, as the filter has the
+    robot's error beside the noise."""
     readings: list[Floats] = []
     expected: list[Floats] = []
     value = fit.value
+    off = np.stack([value.x, value.y, 0.0 * value.x], axis=1)
+    presses = replace(presses, sensor=presses.sensor + off, robot_m=0.0)
     start = Start(float(np.exp(value.log_full[0])), value.mount, value.object, np.zeros(3))
     for fold in range(FOLDS):
         left_out = np.arange(len(presses)) % FOLDS == fold

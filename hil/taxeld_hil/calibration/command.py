@@ -165,8 +165,9 @@ class Guided:
                 "second; go round it, and turn the sensor so that another side of the skin presses"
             )
         self._ends |= len(presses) >= PRESSES
-        felt = np.bincount(sides(observer.model, presses), minlength=8)
-        least = np.where(covered(observer.model), felt, len(presses) + 1).argmin()
+        model = observer.pipeline.estimator.model
+        felt = np.bincount(sides(model, presses), minlength=8)
+        least = np.where(covered(model), felt, len(presses) + 1).argmin()
         also = f" ({unheld} more were not held still)" if unheld else ""
         side = f"next with the skin's side at {EIGHTH_DEG * least:.0f}°"
         return f"   {len(presses)} of {PRESSES}{also}; {side}"

@@ -25,7 +25,6 @@ from taxeld_hil.calibration.presses import Presses
 FULL_SCALE_SD = 3.0  # sd of the full scale's logarithm about its value at the start
 BEND_MEAN, BEND_SD = 0.05, 0.15  # prior of the common response's bend
 MOUNT_SD = np.array([0.02, 0.02, 0.2])  # m, m, rad: sd of the mount about none
-ROBOT_SD_M = 1e-4  # sd of a press's place along x and y about the robot's pose
 GAIN_SD = 0.17  # sd of the logarithm of a taxel's gain
 ONSET_MEAN, ONSET_SD = 0.1, 0.8  # prior of a taxel's onset, as in recordings (docs/physics.md)
 MODEL_SD = 0.01  # error of a right model, in full scales
@@ -108,8 +107,8 @@ class CalibrationFit:
             (1, BEND_MEAN, BEND_SD, STEP),
             (3, 0.0, MOUNT_SD, POSE_STEP),
             (3, start.object, start.object_sd, POSE_STEP),
-            (k, 0.0, ROBOT_SD_M, STEP_M),
-            (k, 0.0, ROBOT_SD_M, STEP_M),
+            (k, 0.0, presses.robot_m, STEP_M),
+            (k, 0.0, presses.robot_m, STEP_M),
             (m, 0.0, GAIN_SD, STEP),
             (m, ONSET_MEAN, ONSET_SD, STEP),
         ]

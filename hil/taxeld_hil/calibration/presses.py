@@ -29,20 +29,22 @@ class Presses:
     sensor: Poses  # (K, 3) in the world, as the robot states it
     counts: Floats  # (K, M) over baseline, the mean of a hold
     live: Bools  # (K, M)
+    robot_m: float  # sd of the robot's error along x and y, the same throughout a press
 
     def __len__(self) -> int:
         return len(self.sensor)
 
     def only(self, kept: Bools) -> "Presses":
         """The presses that `kept` (K,) selects."""
-        return Presses(self.sensor[kept], self.counts[kept], self.live[kept])
+        return Presses(self.sensor[kept], self.counts[kept], self.live[kept], self.robot_m)
 
 
 class PressFinder:
     """Finds the presses of a skin of M taxels, scan by scan."""
 
-    def __init__(self, taxels: int, radius_m: float) -> None:
-        self._taxels, self._radius_m = taxels, radius_m
+    def __init__(self, taxels: int, radius_m: float, robot_m: float) -> None:
+        """`robot_m`: as of `Presses`."""
+        self._taxels, self._radius_m, self._robot_m = taxels, radius_m, robot_m
         self._scans: list[tuple[Poses, Floats, Bools]] = []  # of the press under way
         self._peak = self._strongest = 0.0  # of that press: sum of all taxels, and of one taxel
         self._held: list[tuple[Poses, Floats, Bools]] = []
@@ -67,6 +69,7 @@ class PressFinder:
             np.reshape(sensor, (-1, 3)),
             np.reshape(counts, (-1, self._taxels)),
             np.reshape(live, (-1, self._taxels)).astype(bool),
+            self._robot_m,
         )
         strongest = presses.counts.max(axis=1, initial=0.0)
         least = WEAK * np.median(strongest) if len(presses) else 0.0
@@ -95,12 +98,13 @@ class PressFinder:
 
 
 class Observer(PressFinder):
-    """Collects rest and presses from the outcomes of a pipeline without a calibration."""
+    """Collects rest and presses from the outcomes of a pipeline."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         layout = pipeline.skin.layout
-        super().__init__(len(layout), layout.radius_m)
-        self.pipeline, self.model = pipeline, pipeline.estimator.model
+        robot_m = pipeline.config.sensor_pose.sigma_m
+        super().__init__(len(layout), layout.radius_m, robot_m)
+        self.pipeline = pipeline
         self.is_touched = False  # now or before
         self.idle_s = 0.0  # time for which the skin was left alone at the start
         self.t = 0.0  # of the last scan, Unix seconds
