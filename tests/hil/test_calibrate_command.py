@@ -54,7 +54,7 @@ def assert_right(path: Path) -> None:
     assert np.median(found.noise_counts) == pytest.approx(24.0, rel=0.25)
 
 
-def test_a_session_becomes_a_calibration_that_serves_its_replay(
+def test_a_session_that_fails_the_check_becomes_a_calibration_with_which_it_passes(
     place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, config = tmp_path / "skin.toml", place / "config.toml"
@@ -68,10 +68,15 @@ def test_a_session_becomes_a_calibration_that_serves_its_replay(
         return 1e3 * float(np.hypot(last["x"] - WORLD.truth[0], last["y"] - WORLD.truth[1]))
 
     without = off_mm("full_scale_counts = 50000.0")
+    assert main([*line, "--check"]) == 1
+    said = capsys.readouterr().out
+    assert re.search(r"FAIL +check +full scale: 0\.[34]\d of the 50000 counts", said)
+    assert re.search(r"FAIL +check +mount: off by \([345]", said)
     assert main([*line, "--out", str(out)]) == 0
     assert out.with_suffix(".txt").read_text(encoding="utf-8") in capsys.readouterr().out
     assert_right(out)
     assert off_mm(f'calibration = "{out}"') < 0.5 * without
+    assert main(["calibrate", str(place), "--check"]) == 0
     config.write_text(text, encoding="utf-8")
 
 
@@ -80,11 +85,14 @@ def test_a_session_that_lacks_robot_rest_or_presses_is_refused(tmp_path: Path) -
     write_session(place, pressing(11)[1], idle_s=4.0, end_s=8.0)
     says = refused("calibrate", place, "--out", made)
     assert re.search("seconds untouched at first: [34]; it takes at least 10; touch nothing", says)
+    assert re.search(
+        r"held still: \d; it takes at least 12", refused("calibrate", place, "--check")
+    )
     config = place / "config.toml"
     text = config.read_text(encoding="utf-8")
     two = text.replace('bundle = "box"', 'bundles = ["box", "mug"]')
     config.write_text(two, encoding="utf-8")
-    assert "scene.bundles: a skin is calibrated by" in refused("calibrate", place, "--out", made)
+    assert "scene.bundles: a skin is calibrated by" in refused("calibrate", place, "--check")
     config.write_text(text, encoding="utf-8")
     (place / "sensor_pose.csv").unlink()
     says = refused("calibrate", place, "--out", made)

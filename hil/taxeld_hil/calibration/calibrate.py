@@ -28,6 +28,10 @@ LEAST_PRESSES = 12
 LEAST_SIDES = 4  # sides of the skin that must be pressed, of eight
 MOST_LEFT = 1.0  # `FitResult.left` of a right model is 0.3 to 0.7, of a wrong one 1.5 and more
 KNOWN_MOUNT = np.array([0.0015, 0.0015, np.radians(1.0)])  # largest sd of a mount: m, m, rad
+# the check: a full scale may be off by that factor, as responses of a skin differ in common by up
+# to a third; and a mount by so much [m, m, rad], a fifth of an error that counts as found
+CHECKED = 1.6, np.array([0.002, 0.002, np.radians(2.0)])
+SURE = 3.0  # sd by which a value must be off, too
 FOLDS = 5  # parts of the presses; each is judged by a fit to all others
 SIGMAS = np.geomspace(0.005, 0.12, 14)
 GAIN_CVS = np.linspace(0.0, 0.3, 11)
@@ -41,49 +45,28 @@ class Result(NamedTuple):
     rules: list[Rule]
 
 
+class Pressed(NamedTuple):
+    """The presses of a session, and the fit to them."""
+
+    observer: Observer
+    presses: Presses  # of taxels that are not stuck
+    noise: Floats  # (M,) sd of a reading at rest [counts]
+    stuck: Bools  # (M,)
+    fit: FitResult
+    rules: list[Rule]
+
+
 def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
     """`placed` (3,): the object's pose in the world; None: the session's own, or found by touch.
 
     Raises:
         SetupError: the session or the configuration cannot be used, or the presses do not suffice.
     """
-    if not (directory / session.POSES).exists():
-        raise SetupError(
-            f"{directory / session.POSES}: is missing; a calibration needs the robot's poses, so "
-            "record with sensor_pose.endpoint"
-        )
-    truth = directory / session.TRUTH  # left by a harness
-    if placed is None and truth.exists():
-        rows = session.read_poses(truth)
-        placed = np.array(rows[-1][1:]) if rows else None
-    observer = Observer(open_pipeline(directory, uncalibrated(config)))
-    for outcome in outcomes(directory, observer.pipeline):
-        observer.on_outcome(outcome)
-    (presses, unheld), idle_s = observer.found(), observer.idle_s
-    model, skin, estimate = (
-        observer.pipeline.estimator.model,
-        observer.pipeline.skin,
-        observer.pipeline.estimate,
-    )
-    what, cure = "seconds untouched at first", "touch nothing in that time"
-    untouched = at_least("rest", what, idle_s, LEAST_IDLE_S, cure)
-    require([untouched, *press_rules(model, presses)], "calibrate")
-    if given := placed is not None:
-        where = placed
-    elif estimate.status in (Status.CONVERGED, Status.AMBIGUOUS):
-        where = estimate.map
-    else:
-        raise SetupError(
-            "calibrate: the object was not found by touch, so its pose must be given: "
-            "--object X Y YAW, in metres and radians, in the robot's world"
-        )
-    state = skin.state()
-    assert state is not None  # noqa: S101  (the skin was touched)
-    noise, stuck = np.maximum(state.noise, ROUNDING_SD), np.zeros(len(state.noise), dtype=bool)
-    stuck[skin.faults()["stuck_taxels"]] = True
-    presses = replace(presses, live=presses.live & ~stuck)
-    fit = fitted(model, presses, noise, where, given=given)
-    errors = errors_of(model, replace(presses, live=presses.live & ~fit.silent), noise, fit)
+    found = _pressed(directory, uncalibrated(config), placed, LEAST_IDLE_S)
+    observer, presses, noise, stuck, fit, rules = found
+    answering = replace(presses, live=presses.live & ~fit.silent)
+    model = observer.pipeline.estimator.model
+    errors = errors_of(model, answering, noise, fit)
     value, sd, layout = fit.value, fit.sd, model.layout
     calibration = Calibration(
         t=observer.t,
@@ -107,6 +90,61 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
         frozen=stuck,
         answers=fit.answers,
     )
+    return Result(calibration, layout, [*rules, *_values(calibration)])
+
+
+def checked(directory: Path, config: Config, placed: Poses | None) -> list[Rule]:
+    """Whether the presses of a session agree with the full scale and the mount that its
+    configuration, or its calibration, states. `placed` and Raises as of `of_session`."""
+    observer, *_, fit, rules = _pressed(directory, config, placed, 0.0)
+    known, (full, mount) = observer.pipeline.config.skin.full_scale_counts, CHECKED
+    off, sd = float(fit.value.log_full[0] - np.log(known)), float(fit.sd.log_full[0])
+    far = np.abs(fit.value.mount) > np.maximum(mount, SURE * fit.sd.mount)
+    is_off = abs(off) > max(np.log(full), SURE * sd)
+    said, cure = f"{np.exp(off):.2f} of the {known:.0f} counts that are stated", "calibrate again"
+    limit, most = f"1/{full:g}..{full:g}, or within {SURE:g} sd", f"± {_pose(mount)}, or so many sd"
+    return [
+        *rules,
+        Rule("check", "full scale", f"{said}, ± {sd:.0%}", limit, not is_off, cure),
+        Rule("check", "mount", f"off by {_pose(fit.value.mount)}", most, not far.any(), cure),
+    ]
+
+
+def _pressed(directory: Path, config: Config, placed: Poses | None, least_idle_s: float) -> Pressed:
+    """A replay of a session, and the fit to its presses."""
+    only_object(config)
+    if not (directory / session.POSES).exists():
+        raise SetupError(
+            f"{directory / session.POSES}: is missing; a calibration needs the robot's poses, so "
+            "record with sensor_pose.endpoint"
+        )
+    placed = session.truth(directory) if placed is None else placed  # left by a harness
+    pipeline = open_pipeline(directory, config)
+    observer = Observer(pipeline)
+    for outcome in outcomes(directory, pipeline):
+        observer.on_outcome(outcome)
+    (presses, unheld), idle_s = observer.found(), observer.idle_s
+    model, skin, estimate = pipeline.estimator.model, pipeline.skin, pipeline.estimate
+    what, cure = "seconds untouched at first", "touch nothing in that time"
+    untouched = at_least("rest", what, idle_s, least_idle_s, cure)
+    require([untouched, *press_rules(model, presses)], "calibrate")
+    if given := placed is not None:
+        where = placed
+    elif estimate.status in (Status.CONVERGED, Status.AMBIGUOUS):
+        where = estimate.map
+    else:
+        raise SetupError(
+            "calibrate: the object was not found by touch, so its pose must be given: "
+            "--object X Y YAW, in metres and radians, in the robot's world"
+        )
+    state = skin.state()
+    assert state is not None  # noqa: S101  (the skin was touched)
+    noise, stuck = np.maximum(state.noise, ROUNDING_SD), np.zeros(len(state.noise), dtype=bool)
+    stuck[skin.faults()["stuck_taxels"]] = True
+    presses = replace(presses, live=presses.live & ~stuck)
+    fit = fitted(model, presses, noise, where, given=given)
+    x, y, yaw = fit.value.object
+    by = "given" if given else "found by touch"
     at_rest = f"{np.median(noise):.1f} counts (median), {noise.max():.1f} at most"
     rules = [
         untouched,
@@ -115,23 +153,28 @@ def of_session(directory: Path, config: Config, placed: Poses | None) -> Result:
         *press_rules(model, presses),
         Rule("presses", "not held still", f"{unheld}"),
         *fit_rules(fit, presses, given=given),
-        *_values(calibration, fit, given=given),
+        Rule("fit", "object", f"x {x:.4f} m, y {y:.4f} m, yaw {yaw:.4f} rad, {by}"),
     ]
-    return Result(calibration, layout, rules)
+    return Pressed(observer, presses, noise, stuck, fit, rules)
 
 
 def uncalibrated(config: Config) -> Config:
-    """The configuration of a daemon without a calibration.
+    """The configuration of a daemon without a calibration."""
+    return replace(config, skin=replace(config.skin, calibration=""))
+
+
+def only_object(config: Config) -> str:
+    """The name of the object that is pressed.
 
     Raises:
-        SetupError: it does not say which object is pressed.
+        SetupError: the configuration does not say which it is.
     """
     if len(config.scene.names) != 1:
         key = "scene.bundles" if config.scene.bundles else "scene.bundle"
         raise SetupError(
             f"{key}: a skin is calibrated by presses of one object: name one scene.bundle"
         )
-    return replace(config, skin=replace(config.skin, calibration=""))
+    return config.scene.names[0]
 
 
 def fitted(
@@ -205,18 +248,16 @@ def _pose(q: Poses) -> str:
     return f"({1e3 * q[0]:.2f} mm, {1e3 * q[1]:.2f} mm, {np.degrees(q[2]):.2f}°)"
 
 
-def _values(c: Calibration, fit: FitResult, *, given: bool) -> list[Rule]:
+def _values(c: Calibration) -> list[Rule]:
     """What was measured, without a limit."""
-    known, by = c.gain_sd <= KNOWN_GAIN_SD, "given" if given else "found by touch"
+    known = c.gain_sd <= KNOWN_GAIN_SD
     spread = np.std(np.log(c.gain[known])) if known.sum() > 2 else np.nan
     depth_mm, sure = 1e3 * c.full_scale_depth_m, np.median(c.gain_sd[known]) if known.any() else 1.0
     full = f"{c.full_scale_counts:.0f} counts ± {c.full_scale_sd:.1%} at {depth_mm:g} mm"
     gains = f"{known.sum()} of {len(known)} taxels to {sure:.1%} (median), spread {spread:.0%}"
     bend = f"bend {c.bend:.3f} ± {c.bend_sd:.3f}, onset {np.median(c.onset):.2f} (median)"
     noise = f"{c.noise_sigma:.3f} of full scale, and {c.gain_cv:.0%} of a reading"
-    x, y, yaw = fit.value.object
     return [
-        Rule("fit", "object", f"x {x:.4f} m, y {y:.4f} m, yaw {yaw:.4f} rad, {by}"),
         Rule("fit", "full scale", full),
         Rule("fit", "answers", f"{c.answers.mean():.0%} of firm presses (mean)"),
         Rule("fit", "gains", f"{gains}; the others keep the spread of the skin"),

@@ -23,12 +23,13 @@ from taxeld.service import calibration_file
 from taxeld.service.prepare import prepared
 from taxeld.source import session
 from taxeld_hil import rules
-from taxeld_hil.calibration import check
 from taxeld_hil.calibration.calibrate import (
     LEAST_PRESSES,
     Result,
+    checked,
     covered,
     of_session,
+    only_object,
     sides,
     uncalibrated,
 )
@@ -46,9 +47,9 @@ _say = partial(print, flush=True)
 
 def run(args: argparse.Namespace) -> int:
     """0 fine, 1 a value is wrong, or ended before all presses were there. Raises SetupError."""
-    directory = args.source
+    directory, placed = args.source, None if args.object is None else np.array(args.object)
     if args.check:
-        found = check.of_session(directory, session.config_of(directory))
+        found = checked(directory, session.config_of(directory), placed)
         _say("\n".join(rules.lines(found)))
         return FAILED if rules.failed(found) else 0
     if args.out is None:
@@ -64,7 +65,6 @@ def run(args: argparse.Namespace) -> int:
             return FAILED
         signal.signal(signal.SIGINT, signal.default_int_handler)
         directory = guided.directory
-    placed = None if args.object is None else np.array(args.object)
     _say(_write(of_session(directory, config, placed), args.out))
     _say(f"written: {args.out}, and beside it a text")
     return 0
@@ -99,6 +99,7 @@ class Guided:
             raise SetupError(
                 "sensor_pose.endpoint: is empty; a calibration needs the robot's poses"
             )
+        only_object(config)
         config = uncalibrated(config)
         names = (".session" if k == 1 else f".session-{k}" for k in count(1))
         places = (out.with_suffix(name) for name in names)
