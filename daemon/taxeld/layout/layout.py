@@ -2,14 +2,17 @@
 
 import hashlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taxeld.arrays import Floats, Index
+
 TURN_TOLERANCE_M = 1e-4
-BLOCK = 64  # taxels matched at a time
+BLOCK = 64  # taxels compared with all at a time
 
 
 @dataclass(slots=True)
@@ -57,12 +60,12 @@ class Layout:
         return math.sqrt(np.mean((radius - self.radius_m) ** 2))
 
     @cached_property
-    def turns(self) -> NDArray[np.int64]:
+    def turns(self) -> NDArray[np.int16]:
         """(n, M) permutations: `z[turns[k]]` is what z becomes when the touch turns by −2πk/n.
 
         n is the order of the layout's rotation symmetry about z, 1 where it has none.
         """
-        turns = [np.arange(len(self))]
+        turns = [np.arange(len(self), dtype=np.int16)]  # as many turns as taxels, of a ring
         for order in range(len(self), 1, -1):
             match = self._match(2.0 * np.pi / order) if len(self) % order == 0 else None
             if match is not None:
@@ -78,16 +81,22 @@ class Layout:
         angle = np.arctan2(self.position_m[:, 1], self.position_m[:, 0])
         return np.round(angle * order / (2.0 * np.pi)).astype(np.int64) % order
 
-    def _match(self, angle: float) -> NDArray[np.int64] | None:
+    def apart_m(self, place_m: Floats | None = None) -> Iterator[tuple[Index, Floats]]:
+        """Distances of places (n, 3), or of the taxels, from all taxels, some rows (k,) at a time:
+        (k, M) [m]. A matrix of all pairs of 5000 taxels would take 200 MB."""
+        places = self.position_m if place_m is None else place_m
+        for rows in np.split(np.arange(len(places)), range(BLOCK, len(places), BLOCK)):
+            x, y, z = places[rows].T[:, :, None] - self.position_m.T[:, None]
+            yield rows, np.sqrt(x * x + y * y + z * z)
+
+    def _match(self, angle: float) -> NDArray[np.int16] | None:
         """(M,) for each taxel, the taxel at the place to which it is turned; None if one has
         none."""
         c, s = np.cos(angle), np.sin(angle)
         turned = self.position_m @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        match = np.empty(len(self), dtype=np.int64)
-        for start in range(0, len(self), BLOCK):
-            block = slice(start, start + BLOCK)
-            gap = np.linalg.norm(turned[block, None] - self.position_m, axis=-1)
+        match = np.empty(len(self), dtype=np.int16)
+        for rows, gap in self.apart_m(turned):
             if gap.min(axis=1).max() >= TURN_TOLERANCE_M:
                 return None
-            match[block] = gap.argmin(axis=1)
+            match[rows] = gap.argmin(axis=1)
         return match if len(np.unique(match)) == len(self) else None

@@ -13,21 +13,28 @@ from taxeld.layout.layout import Layout
 CROSS_TALK = 0.05  # share of the sum over the other taxels of the module (docs/physics.md)
 REACH_M = 0.006  # m: the cover sags by 1/e so far beside one press in ten (docs/physics.md)
 LEAST = 0.01  # smaller shares of a press leave nothing
+# taxels of which a taxel reads most: hardly more are within reach where they stand 4 mm apart
+NEIGHBOURS = 128
+MODULES = 512  # whose taxels are summed at a time
 
 
 class Leak:
     """The leak between one skin's M taxels."""
 
     def __init__(self, layout: Layout) -> None:
-        module = layout.uid >> 4
-        self._member = (module[:, None] == np.unique(module)).astype(np.float64)  # (M, modules)
-        place = layout.position_m
-        apart = np.linalg.norm(place[:, None] - place, axis=-1)
-        np.fill_diagonal(apart, np.inf)
-        sag = np.exp(-apart / REACH_M)
-        height = place[:, None, 2] - place[:, 2]
-        self._along = _strongest(sag * (height / apart) ** 2)
-        self._all = _strongest(sag)
+        suis, self._module = np.unique(layout.uid >> 4, return_inverse=True)  # of each taxel
+        self._modules = np.split(np.arange(len(suis)), range(MODULES, len(suis), MODULES))
+        blocks, few = [], min(NEIGHBOURS, len(layout))
+        for rows, apart in layout.apart_m():
+            apart[np.arange(len(apart)), rows] = np.inf  # a press is no leak into itself
+            near = np.argpartition(apart, few - 1)[:, :few].copy()
+            blocks.append((near, np.take_along_axis(apart, near, axis=1)))
+        near, apart = (np.concatenate(part) for part in zip(*blocks, strict=True))  # (M, few) each
+        sag, height = np.exp(-apart / REACH_M), layout.position_m[:, 2]
+        rise = height[:, None] - height[near]
+        steep = np.divide(rise, apart, out=np.zeros_like(apart), where=apart > 0.0)
+        self._along = _strongest(sag * steep**2, near)
+        self._all = _strongest(sag, near)
 
     def of(self, z: Floats) -> Floats:
         """Activations (M,) or (n, M) → about the most that each taxel may read from elsewhere and
@@ -41,8 +48,10 @@ class Leak:
 
     def _leaked(self, z: Floats, shares: Floats, besides: Index) -> Floats:
         of_taxel = np.ascontiguousarray(z.T)  # taxels first: training reads thousands of scans
-        member = self._member.astype(z.dtype)
-        others = member @ (member.T @ of_taxel) - of_taxel  # other taxels of the module
+        others = -of_taxel  # of the module
+        for modules in self._modules:
+            member = (self._module[:, None] == modules).astype(z.dtype)
+            others += member @ (member.T @ of_taxel)
         sag = np.zeros_like(of_taxel)
         for share, beside in zip(shares.astype(z.dtype), besides, strict=True):
             np.maximum(sag.T, share * of_taxel.take(beside, axis=0).T, out=sag.T)
@@ -60,10 +69,11 @@ class Leak:
         return np.where(z < raised, 0.0, z), raised, np.hypot(residue, leak)
 
 
-def _strongest(share: Floats) -> tuple[Floats, Index]:
-    """Shares (M, M) of each column's press that each row reads → the greatest of each row, and
-    their columns: (neighbours, M) each."""
+def _strongest(share: Floats, column: Index) -> tuple[Floats, Index]:
+    """Shares (M, n) of the presses of taxels `column` (M, n) that each row reads → the greatest of
+    each row, and their columns: (neighbours, M) each."""
     share = np.where(share < LEAST, 0.0, share)
     most = int(np.count_nonzero(share, axis=1).max())
     order = np.argsort(-share, axis=1)[:, :most]
-    return np.take_along_axis(share, order, axis=1).T.copy(), order.T.copy()
+    greatest = np.take_along_axis(share, order, axis=1)
+    return greatest.T.copy(), np.take_along_axis(column, order, axis=1).T.copy()

@@ -12,6 +12,7 @@ from taxeld.model.observation import ObservationModel
 
 ROUNDS = 1000  # most rounds of drawing contacts; `check_contacts` has found that some land
 DRAWS, LEAST_FELT = 5000, 10  # contacts drawn by `check_contacts`, and the fewest that must be felt
+NUMBERS = 8_000_000  # of a table, at most: 32 MB; a skin of 800 taxels has all contacts
 NO_CONTACT = "scene: no contact with this skin can be made; build the bundle again"
 
 
@@ -29,8 +30,8 @@ def check_contacts(model: ObservationModel) -> None:
     Raises:
         SetupError: hardly any land on the object, or are felt.
     """
-    poses = next(_contacts(model, DRAWS, np.random.default_rng(0)))
-    if np.count_nonzero(model.activation(poses).max(axis=1) > 0.0) < LEAST_FELT:
+    felt, _ = model.pressed(next(_contacts(model, DRAWS, np.random.default_rng(0))))
+    if len(np.unique(felt // len(model.layout))) < LEAST_FELT:
         raise SetupError(NO_CONTACT)
 
 
@@ -103,19 +104,22 @@ class Table:
         layout = model.layout
         rng = np.random.default_rng(seed)
         self._layout = layout
-        h, poses = np.empty((0, len(layout))), np.empty((0, 3))
+        size = min(size, NUMBERS // len(layout))
+        h, poses = np.empty((0, len(layout)), np.float32), np.empty((0, 3))
         for made in _contacts(model, size, rng):
-            found = model.activation(made)
-            kept = found.max(axis=1) > 0.0
+            found = np.zeros((len(made), len(layout)), np.float32)
+            at, depth = model.pressed(made)
+            found.flat[at] = depth
+            kept = np.flatnonzero(found.max(axis=1) > 0.0)[: size - len(h)]
             h, poses = np.concatenate([h, found[kept]]), np.concatenate([poses, made[kept]])
-            if len(h) >= size:
+            if len(h) == size:
                 break
         else:
             raise SetupError(NO_CONTACT)
-        h, poses = h[:size], poses[:size]
         turn = layout.sector[h.argmax(axis=1)]
-        self._h = np.take_along_axis(h, layout.turns[turn], axis=1).astype(np.float32)
-        self._square = np.square(self._h)
+        for row, k in zip(h, turn, strict=True):
+            row[:] = row[layout.turns[k]]
+        self._h, self._square = h, np.square(h)
         self._pose = _turned(poses, -2.0 * np.pi * turn / len(layout.turns))
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002

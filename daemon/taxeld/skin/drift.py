@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Index
-from taxeld.layout.layout import Layout
+from taxeld.layout.layout import BLOCK, Layout
 from taxeld.skin.channels import Wiring
 
 DRIFT_S = 60.0  # time constant at which the baselines of free taxels follow
@@ -90,8 +90,7 @@ class Drift:
         self._group = np.zeros(taxels, dtype=np.int64)  # (M,) number of the group lowered together
         self._back = np.zeros(taxels, dtype=np.int64)  # (M,) slices in a row with its group back
         self._busy_until = np.full(taxels, -np.inf)
-        x, y, z = (axis[:, None] - axis for axis in layout.position_m.T.astype(np.float32))
-        self._near: Bools = x * x + y * y + z * z <= NEAR_M**2
+        self._place = layout.position_m.T.astype(np.float32)  # (3, M)
 
     def take(self, taxels: Index, counts: Floats) -> None:
         """Set new baselines (n,) of taxels (n,) [counts]."""
@@ -102,8 +101,10 @@ class Drift:
     def touched(self, t: float, taxels: Bools) -> None:
         """Taxels in the mask (M,) are touched at time t."""
         at = np.flatnonzero(taxels)
-        if len(at):
-            self._busy_until[self._near[at].any(axis=0)] = t + HOLD_OFF_S
+        for some in np.split(at, range(BLOCK, len(at), BLOCK)):
+            x, y, z = (axis[some, None] - axis for axis in self._place)
+            near = (x * x + y * y + z * z <= NEAR_M**2).any(axis=0)
+            self._busy_until[near] = t + HOLD_OFF_S
 
     def busy(self, t: float) -> Bools:
         """(M,) whether a taxel is near a touch, or was so shortly before."""

@@ -46,16 +46,18 @@ class Patches:
         self._depth_m = full_scale_depth_m
         self._new = count(1)  # numbers of new patches
         self._before: dict[int, int] = {}  # taxel → number of its patch, in the scan before
-        place = layout.position_m
-        apart_m = np.stack([np.linalg.norm(place - each, axis=1) for each in place])
         # median distances of a taxel's nearest and third nearest; 0 where there are none
         rank = min(AROUND, len(layout) - 1)
-        nearest = np.sort(np.partition(apart_m, rank, axis=1)[:, : rank + 1], axis=1)
-        near_m, third_m = np.median(nearest[:, [min(1, rank), rank]], axis=0).tolist()
+        nearest = [np.partition(apart, rank)[:, : rank + 1].copy() for _, apart in layout.apart_m()]
+        ranked = np.sort(np.concatenate(nearest))[:, [min(1, rank), rank]]
+        near_m, third_m = np.median(ranked, axis=0).tolist()
         self.taxel_m2 = near_m * third_m  # on a grid of any sides
-        facing = layout.normal @ layout.normal.T > 0.0
-        is_near = (apart_m <= min(WIDER * third_m, WIDEST * near_m)) & facing
-        self._around = [np.flatnonzero(row).tolist() for row in is_near]
+        reach_m = min(WIDER * third_m, WIDEST * near_m)
+        self._around: list[list[int]] = []
+        for rows, apart in layout.apart_m():
+            for normal, is_near in zip(layout.normal[rows], apart <= reach_m, strict=True):
+                near = np.flatnonzero(is_near)
+                self._around.append(near[layout.normal[near] @ normal > 0.0].tolist())
 
     def on_scan(self, z: Floats) -> list[PressedPatch]:
         """The patches of activations z (M,)."""

@@ -43,7 +43,7 @@ class ExactPosterior:
         self._row, self._taxel = np.nonzero(bank.activation)
         self._h = bank.activation[self._row, self._taxel]
         order = len(layout.turns)
-        self._back = layout.turns[-np.arange(order) % order]
+        self._back = layout.turns[-np.arange(order) % order].astype(np.intp)
 
     def sample(
         self, seen: Observation, n: int, rng: np.random.Generator, least: float = 0.0

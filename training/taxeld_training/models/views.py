@@ -40,7 +40,7 @@ class Turned(nn.Module):
     def __init__(self, layout: Layout) -> None:
         super().__init__()
         self.width = 3 * len(layout)
-        self.register_buffer("turns", torch.from_numpy(layout.turns))
+        self.register_buffer("turns", torch.from_numpy(layout.turns.astype(np.int64)))
         self.register_buffer("sector", torch.from_numpy(layout.sector))
 
     def forward(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]:
