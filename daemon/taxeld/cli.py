@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from taxeld import command_line
-from taxeld.command_line import FAILED, Arguments, Run, flag, given
+from taxeld.command_line import FAILED, Arguments, Run, flag, given, natural
 from taxeld.config.file import load
 from taxeld.config.gate import ConfigError
 from taxeld.errors import SetupError
@@ -242,7 +242,7 @@ COMMANDS: dict[Run, Arguments] = {
     _replay: (
         given("directory", "DIR", "a session", Path),
         given("--config", "CONFIG", "in place of the session's own config.toml", Path),
-        given("--seed", "N", "in place of filter.seed", int),
+        given("--seed", "N", "in place of filter.seed", natural),
     ),
     _decode: (
         given("log", "LOG", "a log of candump, or a serial.bin", Path),

@@ -43,6 +43,13 @@ def given(name: str, values: str, about: str, kind: Any = str, **how: Any) -> Ar
     return (name,), {"metavar": values, "type": kind, "help": about} | how
 
 
+def natural(text: str) -> int:
+    """A number of an argument that has none below 0."""
+    if (number := int(text)) < 0:
+        raise argparse.ArgumentTypeError(f"must be 0 or more, not {number}")
+    return number
+
+
 def flag(name: str, about: str) -> Argument:
     return (name,), {"action": "store_true", "help": about}
 
@@ -52,7 +59,8 @@ def add_commands(parent: argparse.ArgumentParser, table: Mapping[Run, Arguments]
     a list of arguments must be given, unless one has a default."""
     commands = parent.add_subparsers(required=True, metavar="COMMAND", title="commands")
     for run, arguments in table.items():
-        text, *examples = filter(None, (inspect.getdoc(run) or "").splitlines())
+        written = run.__doc__ or inspect.getsource(run).split('"""')[1]  # python -OO drops it
+        text, *examples = filter(None, inspect.cleandoc(written).splitlines())
         name = run.__name__.lstrip("_")
         made = _usable(commands.add_parser(name, help=text, **_help(text, examples)))
         made.set_defaults(command=run, name=name)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxeld import command_line
-from taxeld.command_line import Arguments, Run, flag, given
+from taxeld.command_line import Arguments, Run, flag, given, natural
 from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
@@ -202,7 +202,7 @@ def _scenario(args: argparse.Namespace, foam: str, *layouts: str) -> "Scenario":
 
 
 SCENARIO = given("scenario", "SCENARIO", "a shipped name (demo) or a TOML file")
-SEED = given("--seed", "N", "default: 0", int, default=0)
+SEED = given("--seed", "N", "default: 0", natural, default=0)
 OBJECT_ABOUT = "in place of the scenario's object: box, drill, mug, or a path"
 OBJECT = given("--object", "BUNDLE", OBJECT_ABOUT, default="")
 RANDOM_ABOUT = "of faults that the seed draws, in place of the scenario's"

@@ -4,6 +4,7 @@ import itertools
 import logging
 import math
 import os
+import resource
 import select
 import termios
 import time
@@ -366,3 +367,17 @@ def test_a_device_that_is_not_there_yet_is_waited_for_with_one_line(
     skin.more()
     assert skin.source.waits_for == ""
     assert sum("is open" in message for message in caplog.messages) == 1
+
+
+@transports
+def test_a_line_is_read_beside_a_thousand_inherited_descriptors(opened: Opened, kind: str) -> None:
+    """Where it gets a number that `select` does not take."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 4096), hard))
+    with ExitStack() as inherited:
+        for _ in range(1100):
+            inherited.enter_context(Path(os.devnull).open())
+        skin = opened(kind)
+        skin.more()
+        skin.source.close()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

@@ -4,6 +4,7 @@ import argparse
 import os
 import re
 import shlex
+import subprocess
 import sys
 import tomllib
 from importlib import import_module
@@ -93,6 +94,23 @@ def test_each_command_has_a_sentence_and_examples_that_it_takes_and_its_own_usag
     usage, *_, fault = capsys.readouterr().err.splitlines()
     assert usage.startswith(" ".join(["usage:", program, *name, ""]))
     assert fault.endswith("error: unrecognized arguments: --nonsense")
+
+
+def test_help_is_the_same_where_python_keeps_no_docstrings() -> None:
+    command = ["-m", "taxeld.cli", "check", "--help"]
+    first, second = (
+        subprocess.run([sys.executable, *given, *command], capture_output=True, check=True).stdout
+        for given in ([], ["-OO"])
+    )
+    assert b"taxeld check can0.toml" in first == second
+
+
+@pytest.mark.parametrize("typed", ["taxeld replay x --seed -1", "taxeld-hil run demo --seed -1"])
+def test_a_seed_below_0_is_refused(typed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    program, *arguments = typed.split()
+    with pytest.raises(SystemExit, match="2"):
+        PROGRAMS[program].main(arguments)
+    assert capsys.readouterr().err.endswith("argument --seed: must be 0 or more, not -1\n")
 
 
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("docs/*.md"))]

@@ -8,6 +8,7 @@ opened again, whatever closed it: another process, a supply that failed, another
 import contextlib
 import math
 import os
+import select
 import termios
 import time
 from collections.abc import Sequence
@@ -72,6 +73,8 @@ class SerialLine(Device):
             self._port = serial.Serial(where, baud, timeout=0, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
             raise unopened(where, error) from None
+        self._ended = select.poll()  # pyserial's `read` uses `select`: no descriptor over 1023
+        self._ended.register(self._port.fileno(), 0)
 
     def fileno(self) -> int:
         return int(self._port.fileno())
@@ -90,12 +93,13 @@ class SerialLine(Device):
     def _receive(self) -> bytes:
         try:
             data = os.read(self._port.fileno(), BYTES_PER_POLL)
-            # asks even when no bytes wait, because an unplugged line shows only then
-            return data or bytes(self._port.read(1))
+            if not data and self._ended.poll(0):
+                raise OSError("the line has ended: is it unplugged?")
         except BlockingIOError:
             return b""
         except OSError as error:
             raise LostError from error
+        return data
 
     def _put(self, data: bytes) -> None:
         """Send data whole, some of it perhaps later: half a request would spoil the next one.
