@@ -96,7 +96,7 @@ def scene(**values: Any) -> Change:
     def made(box: Path) -> None:
         with np.load(box / "scene.npz") as npz:
             arrays = {name: npz[name] for name in npz.files}
-        np.savez(box / "scene.npz", **(arrays | values if values else {"slices": FAR}))
+        np.savez_compressed(box / "scene.npz", **(arrays | values if values else {"slices": FAR}))
         sealed(box)
 
     return made
@@ -133,7 +133,7 @@ def of_another_skin(box: Path) -> None:
         (about(auto=["density-1"]), "auto: no such proposal or sampler"),
         (about(filter={"particles": 1}), "filter.particles: must be 2..100000, not 1"),
         # the scene is none
-        (flipped("scene.npz", 0.0), "scene.npz: unusable scene (No data"),
+        (flipped("scene.npz", 0.0), "scene.npz: unusable scene (File is not a zip file"),
         (flipped("scene.npz", 0.5), "scene.npz: unusable scene ("),
         (scene(), "scene.npz: unusable scene ('silhouette"),
         (scene(surface=np.zeros((9, 2))), "surface has the shape (9, 2)"),
@@ -143,6 +143,7 @@ def of_another_skin(box: Path) -> None:
         (scene(outline=np.zeros((2, 2))), "no outline"),
         (scene(cell=np.nan), "cell is not within"),
         (scene(symmetry=10**9), "symmetry is not within"),
+        (scene(slices=np.zeros((5, 2000, 2000), np.float32)), "arrays take 80"),
         (
             scene(slices=FAR, silhouette=FAR[0], heights=np.linspace(-0.03, 0.03, 5)),
             "no contact with this skin can be made",
@@ -248,6 +249,15 @@ def graph(
     return bytes(model.SerializeToString())
 
 
+def of_gigabytes() -> bytes:
+    """A sampler of some hundred bytes that makes a constant of 4 GB."""
+    value = helper.make_tensor("value", TensorProto.FLOAT, [1], [1.0])
+    made = helper.make_node("ConstantOfShape", ["w"], ["large"], value=value)
+    one = helper.make_node("ReduceMax", ["large"], ["one"], keepdims=0)
+    poses = helper.make_node("Add", ["flat", "one"], ["poses"])
+    return graph([made, one, poses], helper.make_tensor("w", TensorProto.INT64, [1], [10**9]))
+
+
 def elsewhere(location: str) -> TensorProto:
     """A weight that lies in another file."""
     weight = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=[1])
@@ -283,6 +293,7 @@ def test_a_sampler_gives_poses() -> None:
         (graph([helper.make_node("Loop", ["w", "", "flat"], ["poses"])]), "loops or branches"),
         (graph(ADDED, helper.make_tensor("w", 1, [1], [np.nan])), "no finite poses"),
         (graph(ADDED, helper.make_tensor("w", 1, [3, 1, 1], [0.0] * 3)), ""),
+        (of_gigabytes(), "it needs more than 128000000 bytes"),
         (graph(ADDED, elsewhere("../secret.bin")), "names other files as its weights"),
     ],
 )

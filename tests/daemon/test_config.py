@@ -4,6 +4,7 @@ are keys, and the documentation is the code's."""
 import json
 import os
 import stat
+import tracemalloc
 from dataclasses import MISSING
 from pathlib import Path
 from typing import get_type_hints
@@ -124,6 +125,15 @@ def test_any_value_is_taken_or_refused_in_a_line(table: type, data: st.DataObjec
     made = take(table, data.draw(st.dictionaries(names, VALUES)), found)
     assert (made is None) is bool(found)
     assert all(line.isprintable() for line in found)
+
+
+def test_a_key_of_thousands_of_parts_is_refused_before_it_takes_memory() -> None:
+    tracemalloc.start()
+    found = faults(f"a{'.a' * 30_000} = 1")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found == ["x.toml: a key of more than 8 parts: a" + ".a" * 8]
+    assert peak < 1_000_000
 
 
 def test_all_faults_are_found_at_once() -> None:

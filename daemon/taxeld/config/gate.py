@@ -22,6 +22,10 @@ T = TypeVar("T")
 
 LARGEST = 1 << 63  # limit of TOML's own integers, and of all numbers here
 KEY_SHOWN = 60  # characters of a key in a message
+# tomllib needs time and memory by the square of a key's parts; no key here has more than four
+KEY_PARTS = 8
+PART = r"""(?:[\w-]+|"(?:\\.|[^"\\\n])*"|'[^'\n]*')"""
+LONG_KEY = re.compile(rf"(?<![\w\\-]){PART}(?:[ \t]*\.[ \t]*{PART}){{{KEY_PARTS}}}")
 WORDS = {str: "a line of text", int: "an integer", float: "a number", bool: "true or false"}
 
 
@@ -74,6 +78,8 @@ def keys_of(cls: type) -> list[Any]:
 
 def loads(text: str) -> dict[str, Any]:
     """The values of TOML text. Raises ValueError with the fault."""
+    if long := LONG_KEY.search(text):
+        raise ValueError(f"a key of more than {KEY_PARTS} parts: {long[0][:KEY_SHOWN]}")
     try:
         return tomllib.loads(text)
     except RecursionError:

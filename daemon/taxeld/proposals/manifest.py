@@ -7,6 +7,7 @@ Each file is read once: the compared bytes are the ones that are parsed. Nothing
 import hashlib
 import io
 import json
+import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -158,6 +159,9 @@ def parse_scene(data: bytes, path: Path) -> Scene:
         SetupError: it is damaged, or not a scene.
     """
     try:
+        with zipfile.ZipFile(io.BytesIO(data)) as unpacked:
+            if (size := sum(each.file_size for each in unpacked.infolist())) > files.LARGEST:
+                raise ValueError(f"its arrays take {size} bytes, and may take {files.LARGEST}")
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             needed = (k for k in Scene.__dataclass_fields__ if k in arrays or k != "islands")
             values = {name: arrays[name] for name in needed}

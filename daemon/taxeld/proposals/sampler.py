@@ -19,6 +19,12 @@ TRIED = 8  # samples of the trial call
 # nodes' types in a graph's bytes: field 4, its length, the name
 ENDLESS = b"\x22\x04Loop", b"\x22\x04Scan", b"\x22\x02If"
 MOST_STEPS = 10_000  # limit on the steps of noise
+MOST_BYTES = 128_000_000  # of all samplers; a shipped one takes 32 MB for 10 000 samples
+
+ort.create_and_register_allocator(
+    ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT),
+    ort.OrtArenaCfg(MOST_BYTES, -1, -1, -1),
+)
 
 
 class Sampler:
@@ -49,6 +55,8 @@ class Sampler:
                 raise ValueError("a touch gets no finite poses")
         except Exception as error:  # onnxruntime's own exceptions share no public base
             reason = manifest.reason(error)
+            if "Available memory" in reason:
+                reason = f"it needs more than {MOST_BYTES} bytes"
             raise SetupError(f"{path}: unusable sampler ({reason}); {manifest.AGAIN}") from None
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
@@ -90,6 +98,7 @@ def _session(graph: bytes) -> Any:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.load_model_format", "ONNX")  # avoids a guess
+    options.add_session_config_entry("session.use_env_allocators", "1")  # the one with MOST_BYTES
     options.log_severity_level = 4  # faults are raised and reported once
     return ort.InferenceSession(
         graph,
