@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from taxeld import __version__
-from taxeld.config import gone
 from taxeld.errors import SetupError, WorkError
 
 FAILED, USAGE_ERROR = 1, 2
@@ -102,8 +101,6 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
     _open_standard()
     typed, status = sys.argv[1:] if argv is None else argv, USAGE_ERROR
     try:
-        if line := _gone(made.prog, typed):
-            raise SetupError(line)
         args, unknown = made.parse_known_args(typed)
         if unknown:
             args.used.error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -121,15 +118,6 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
         return 128 + signal.SIGINT
     print("\n".join(prefix + line for line in lines.splitlines()), file=sys.stderr)
     return status
-
-
-def _gone(prog: str, typed: list[str]) -> str | None:
-    """The line on the first word that was a command or an option once."""
-    command, argument = (" ".join([prog, *typed[:count]]) for count in (1, 2))
-    options = [word.partition("=")[0] for word in typed if word[:1] == "-"]
-    of_command = (f"{command} {option}" for option in options)
-    found = map(gone.why, (command, argument, *of_command, *options))
-    return next(filter(None, found), None)
 
 
 def _missing(error: ModuleNotFoundError, prog: str) -> str:

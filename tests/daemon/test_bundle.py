@@ -121,7 +121,7 @@ def of_another_skin(box: Path) -> None:
         (content("bundle.json", b""), "bundle.json: Expecting value"),
         (content("bundle.json", b"[]"), "bundle.json: is of format None, not 3"),
         # bundle.json makes no sense
-        (about(format=2), "is of format 2, not 3 ('taxeld-train seal' turns 2 into 3)"),
+        (about(format=2), "is of format 2, not 3: of another taxeld; build the bundle"),
         (about(lambda info: info.pop("object")), "object: is required; build the bundle again"),
         (about(depth_max_m=0.04), "was built for 0.04; set it to that"),
         (about(lambda info: info["layout"].pop("digest")), "layout.digest: is required"),

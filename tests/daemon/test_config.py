@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from taxeld.config import endpoints
 from taxeld.config.file import load, parse
 from taxeld.config.gate import ConfigError, keys_of, take
-from taxeld.config.gone import GONE
 from taxeld.config.tables import OBJECTS_MAX, Config
 from taxeld.prior import PosePrior
 from taxeld.proposals.manifest import Manifest
@@ -97,7 +96,6 @@ def faults(text: str) -> list[str]:
         (LINKS.format("", "source = {chanel = 1}"), "skin[1].source.chanel: unknown key; did you"),
         (LINKS.format("", 'source = {channel = "x"}'), "skin[1].source.kind: is required"),
         (LINKS.format("", 'source = {kind = "can"}'), "skin[1].source.channel: is required for"),
-        (LINKS.format("", 'source = {kind = "can", dialect = ""}'), "source.dialect: is gone; an"),
         (LINKS.format("", 'name = "../x"'), "skin.name: must be the name of a directory, without"),
         (ROBOT + LINKS.format("", ""), "skin[1].sensor_pose.topic: '/robot/sensor_pose' is that"),
         (
@@ -140,16 +138,6 @@ def test_all_faults_are_found_at_once() -> None:
     wrong = MINIMAL + "[loop]\nrate_hz = -1\nspeed = 2\n[filter]\nseed = 'x'\n"
     assert len(faults(wrong)) == 3
     assert len(faults(wrong + "[[skin]]\na = 1\nsource = {b = 2}")) == 6
-
-
-@pytest.mark.parametrize("name", [name for name in GONE if not name.startswith(("-", "taxeld"))])
-def test_a_key_that_is_gone_is_refused_with_what_replaces_it(name: str) -> None:
-    table, _, key = name.partition(".")
-    line = key if "=" in key else f"{key or 'key'} = 1"
-    own = "".join(f"{row}\n" for row in MINIMAL.splitlines() if row.split()[0] != line.split()[0])
-    text = own.replace(f"[{table}]\n", f"[{table}]\n{line}\n")
-    text += "" if f"[{table}]" in text else f"[{table}]\n{line}\n"
-    assert faults(text) == [f"{name}: is gone; {GONE[name]}"]
 
 
 @pytest.mark.parametrize("text", ["a = ", "a = " + "[" * 100_000, f"a = {'9' * 5000}", "a = '\0'"])

@@ -235,7 +235,6 @@ def test_a_topic_of_poses_becomes_the_robots_poses_and_a_tilted_link_is_left_out
         (["tcp://robot:1"], "endpoint: 'tcp://robot:1' is not local; use"),
         (["ipc:///tmp/x", "--sensor-topic", "/skin"], "sensor_pose.endpoint: is not in CONFIG, so"),
         (["ipc:///tmp/x", "--prefix", "a b"], "--prefix: 'a b' is no name of a ROS 2 topic"),
-        (["x", "--sensor-tf", "world", "skin"], "--sensor-tf: is gone; examples/tf_to_pose.py"),
         (["nowhere.toml"], "nowhere.toml: unreadable configuration"),
     ],
 )

@@ -15,11 +15,10 @@ from deploy import manuals
 
 from taxeld.command_line import ONE_THREAD
 from taxeld.config import file as config_file
-from taxeld.config import gate, gone
+from taxeld.config import gate
 from taxeld_hil.scenario.mesh_config import FOAMS
 from taxeld_hil.scenario.scenario import Scenario, shipped
 from tests import pages
-from tests.rig.commands import refused
 from tests.rig.processes import python
 
 ROOT = Path(__file__).parents[2]
@@ -129,25 +128,6 @@ def test_pages_show_commands_and_files_that_are_taken(page: Path) -> None:
             gate.parse(Scenario, toml, page.name)
         else:
             config_file.parse(toml if "[source]" in toml else ON_A_BUS + toml)
-
-
-@pytest.mark.parametrize(
-    ("typed", "line"),
-    [
-        ("taxeld sing", "taxeld sing: is gone; whistle"),
-        ("taxeld check --loudly x", "--loudly: is gone; it is loud"),
-        ("taxeld check --loudly=3", "--loudly: is gone; it is loud"),
-        ("taxeld layout --soft", "taxeld layout --soft: is gone; it is soft"),
-        ("taxeld relay can0.toml", "taxeld relay: is gone; 'taxeld run' serves relay.publish"),
-    ],
-)
-def test_a_command_or_an_option_that_is_gone_is_refused_with_what_replaces_it(
-    typed: str, line: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    went = {"taxeld sing": "whistle", "--loudly": "it is loud"}
-    monkeypatch.setattr(gone, "GONE", gone.GONE | went | {"taxeld layout --soft": "it is soft"})
-    program, *arguments = typed.split()
-    assert refused(*arguments, main=PROGRAMS[program].main).startswith(line)
 
 
 def test_the_harness_lists_its_scenarios_and_foams() -> None:

@@ -96,11 +96,6 @@ def test_objects_of_ones_own_are_the_only_ones_that_a_filter_knows() -> None:
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ("filter --seeds 5", "evaluate filter: is gone; 'evaluate whole' compares filters"),
-        ("stability", "evaluate stability: is gone; say 'evaluate map'"),
-        ("sizes", "evaluate sizes: is gone; say 'evaluate map', and choose --cells"),
-        ("works --groups table", "evaluate --groups: is gone; say it with --cells"),
-        ("works --minutes 3", "evaluate --minutes: is gone; stop it when you like"),
         ("magic", f"QUESTION: no 'magic'; there are {QUESTIONS}"),
         ("works --objects 999_none", "999_none: no such YCB object"),
         ("map --cells noise,sniff", "--cells: no 'sniff' here; there are exact, typical, poor, "),

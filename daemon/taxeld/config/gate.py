@@ -15,7 +15,6 @@ from functools import cache
 from types import UnionType
 from typing import Any, Generic, TypeVar, cast, get_args, get_origin, get_type_hints
 
-from taxeld.config import gone
 from taxeld.errors import SetupError, one_line
 
 T = TypeVar("T")
@@ -125,7 +124,7 @@ def _given(
         shown = one_line(str(name)[:KEY_SHOWN])
         near = difflib.get_close_matches(shown, known, 1)
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
-        faults.append(_gone(f"{path}{name}") or f"{path}{shown}: unknown key; {hint}")
+        faults.append(f"{path}{shown}: unknown key; {hint}")
     found = {}
     for name, each in known.items():
         if name not in values:
@@ -135,7 +134,7 @@ def _given(
         check = each.metadata.get("check")
         fault = check(taken) if check and not own and taken not in (None, each.default) else None
         if fault:
-            own.append(_gone(f'{path}{name} = "{taken}"') or f"{path}{name}: {fault}")
+            own.append(f"{path}{name}: {fault}")
         faults += own
     return found
 
@@ -189,8 +188,3 @@ def _shown(value: Any) -> str:
         return reprlib.repr(value)
     except ValueError:  # Python writes no integer of thousands of digits
         return "so large an integer"
-
-
-def _gone(what: str) -> str | None:
-    """The line about a key or value that is gone, whichever of several tables it stands in."""
-    return gone.why(re.sub(r"^skin\[\d+\]\.(?=source)|\[\d+\]", "", what))

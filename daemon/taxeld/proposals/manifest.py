@@ -23,7 +23,7 @@ from taxeld.proposals.analytic import ANALYTIC
 
 NAME = "bundle.json"
 SCENE = "scene.npz"
-FORMAT = 3  # version 2 had no digests
+FORMAT = 3
 KINDS = ("density", "ddpm")  # kinds of samplers
 AGAIN = "build the bundle again"
 DEPTH = SkinConfig.__dataclass_fields__["full_scale_depth_m"].metadata["check"]
@@ -103,8 +103,7 @@ def parse(text: bytes, path: Path) -> Manifest:
         info = json.loads(text)
         found = info.get("format") if isinstance(info, dict) else None
         if found != FORMAT:
-            cure = "('taxeld-train seal' turns 2 into 3)"
-            raise ValueError(f"is of format {found!r:.70}, not {FORMAT} {cure}")
+            raise ValueError(f"is of format {found!r:.70}, not {FORMAT}: of another taxeld")
     except (ValueError, RecursionError) as error:
         raise SetupError(f"{path}: {reason(error)}; {AGAIN}") from None
     made = gate.take(Manifest, info, faults, more=True)

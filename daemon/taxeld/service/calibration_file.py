@@ -44,8 +44,8 @@ class TaxelTable:
     onset: float = key(check=between(-20, 20))
     onset_sd: float = key(check=between(0, 20))
     noise_counts: float = key(check=between(0, 65535))
-    frozen: bool = key(False)
-    answers: float = key(1.0, check=between(0, 1))
+    frozen: bool = key()
+    answers: float = key(check=between(0, 1))
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,19 +86,15 @@ def write(name: str, links: Links, depth_m: float, directory: Path) -> Observati
 
 
 def seal(directory: Path, more: Mapping[str, Any] = MappingProxyType({})) -> None:
-    """Have `bundle.json` name the files as they are now, and say what `more` says; one of format 2
-    becomes one of format 3.
+    """Have `bundle.json` name the files as they are now, and say what `more` says.
 
     Raises:
         SetupError: it is no bundle, or cannot be written.
     """
     path = directory / manifest.NAME
-    try:
-        info = json.loads(manifest.read(path))
-    except (ValueError, RecursionError):
-        raise SetupError(f"{path}: unreadable; build the bundle again") from None
-    if not isinstance(info, dict) or info.get("format") not in (2, manifest.FORMAT):
-        raise SetupError(f"{path}: is not of bundle format 2 or {manifest.FORMAT}")
+    text = manifest.read(path)
+    manifest.parse(text, path)
+    info: dict[str, Any] = json.loads(text)
     try:
         _write(info | dict(more), directory)
     except OSError as error:
