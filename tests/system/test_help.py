@@ -7,6 +7,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -55,53 +56,40 @@ print(*(os.environ[name] for name in {threads}), *sorted(sys.modules), file=sys.
 """
 
 
-@pytest.mark.parametrize("given", ["1", "2"])
+@pytest.mark.parametrize("given", [{}, {ONE_THREAD[0]: "2"}], ids=["none given", "two"])
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_help_imports_nothing_that_is_slow_and_numpy_will_have_one_thread_unless_told_otherwise(
-    program: str, given: str
+    program: str, given: dict[str, str]
 ) -> None:
     """On a robot's computer other threads fight for the loop's core."""
     environ = {key: value for key, value in os.environ.items() if key not in ONE_THREAD}
-    environ |= {ONE_THREAD[0]: given} if given != "1" else {}
     code = STARTED.format(module=PROGRAMS[program].__name__, threads=ONE_THREAD)
-    *threads, first = python(code, env=environ).stderr.split(maxsplit=len(ONE_THREAD))
-    assert threads == [given, "1", "1"]
-    loaded = {name.split(".")[0] for name in first.split()}
-    assert loaded & HEAVY == set()
-    assert "argparse" in loaded
+    said = python(code, env=environ | given).stderr
+    *threads, loaded = said.split(maxsplit=len(ONE_THREAD))
+    assert threads == [given.get(ONE_THREAD[0], "1"), "1", "1"]
+    assert {name.split(".")[0] for name in loaded.split()} & (HEAVY | {"argparse"}) == {"argparse"}
 
 
 @pytest.mark.parametrize(("program", "name", "parser"), ALL, ids=NAMES)
-def test_each_command_has_a_sentence_and_examples_that_it_takes_and_its_own_usage(
-    program: str,
-    name: list[str],
-    parser: argparse.ArgumentParser,
-    capsys: pytest.CaptureFixture[str],
+def test_each_command_has_a_sentence_and_examples_that_it_takes(
+    program: str, name: list[str], parser: argparse.ArgumentParser
 ) -> None:
-    assert parser.description
-    assert parser.description.endswith(".")
-    assert parser.epilog is not None
-    _, *examples = parser.epilog.splitlines()
+    assert str(parser.description).endswith(".")
+    _, *examples = str(parser.epilog).splitlines()
     assert examples
     for example in examples:
         typed = shlex.split(example.partition(">")[0])
         assert typed[: 1 + len(name)] == [program, *name]
         PROGRAMS[program]._parser().parse_args(typed[1:])
-    with pytest.raises(SystemExit) as ended:
-        PROGRAMS[program].main([*typed[1:], "--nonsense"])
-    assert ended.value.code == 2
-    usage, *_, fault = capsys.readouterr().err.splitlines()
-    assert usage.startswith(" ".join(["usage:", program, *name, ""]))
-    assert fault.endswith("error: unrecognized arguments: --nonsense")
 
 
 def test_help_is_the_same_where_python_keeps_no_docstrings() -> None:
     command = ["-m", "taxeld.cli", "check", "--help"]
-    first, second = (
+    told = [
         subprocess.run([sys.executable, *given, *command], capture_output=True, check=True).stdout
         for given in ([], ["-OO"])
-    )
-    assert b"taxeld check can0.toml" in first == second
+    ]
+    assert b"taxeld check can0.toml" in told[0] == told[1]
 
 
 @pytest.mark.parametrize("typed", ["taxeld replay x --seed -1", "taxeld-hil run demo --seed -1"])
@@ -120,20 +108,18 @@ ON_A_BUS = '[source]\nkind = "can"\nchannel = "can0"\n'
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_pages_show_commands_and_files_that_are_taken(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    for typed in TYPED.findall(text):
-        program, *arguments = shlex.split(typed)
+    parse = partial(gate.parse, Scenario) if page.name == "harness.md" else config_file.parse
+    for program, *arguments in map(shlex.split, TYPED.findall(text)):
         PROGRAMS[program]._parser().parse_args(arguments)
     for toml in (block for language, block in pages.FENCED.findall(text) if language == "toml"):
-        if page.name == "harness.md":
-            gate.parse(Scenario, toml, page.name)
-        else:
-            config_file.parse(toml if "[source]" in toml else ON_A_BUS + toml)
+        on_a_bus = "[source]" not in toml and page.name != "harness.md"
+        parse(ON_A_BUS * on_a_bus + toml, page.name)
 
 
 def test_the_harness_lists_its_scenarios_and_foams() -> None:
     text = " ".join(PROGRAMS["taxeld-hil"]._parser().format_help().split())
-    assert f"Scenarios: {', '.join(shipped())}." in text
-    assert f"Foams of the simulated skin: {', '.join(FOAMS)}." in text
+    listed = f"Scenarios: {', '.join(shipped())}. Foams of the simulated skin: {', '.join(FOAMS)}."
+    assert listed in text
 
 
 WITHOUT_MODULES = """
@@ -163,7 +149,5 @@ def test_a_missing_extra_is_one_line_that_names_the_command_that_installs_it(
         missing=EXTRAS[extra], module=PROGRAMS[program].__name__, typed=typed
     )
     ran = python(code, check=False)
-    assert ran.returncode == 2
-    assert ran.stderr.count("\n") == 1
-    _, _, packages = ran.stderr.partition(f"not installed: {sys.executable} -m pip install ")
-    assert packages.split()
+    line = rf".*is not installed: {re.escape(sys.executable)} -m pip install \S.*\n"
+    assert (ran.returncode, bool(re.fullmatch(line, ran.stderr))) == (2, True), ran.stderr

@@ -4,7 +4,9 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -29,10 +31,9 @@ needs_systemd = pytest.mark.skipif(
 
 def settings(path: Path = UNIT) -> dict[str, list[str]]:
     """Every assignment of a unit file, in order."""
-    found: dict[str, list[str]] = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if match := re.fullmatch(r"(\w+)=(.*)", line):
-            found.setdefault(match[1], []).append(match[2])
+    found = defaultdict(list)
+    for key, value in re.findall(r"^(\w+)=(.*)$", path.read_text(encoding="utf-8"), re.MULTILINE):
+        found[key].append(value)
     return found
 
 
@@ -50,38 +51,33 @@ def test_the_unit_is_taken_and_exposed_no_more_than_it_must_be(tmp_path: Path, u
     """With a command that exists: the installed one need not be on this machine."""
     most = f"--threshold={round(10 * EXPOSURE)}"
     told = analyzed("security", "--offline=true", "--no-pager", most, str(unit))
-    (level,) = re.findall(r"Overall exposure level for \S+: ([\d.]+)", told)
-    assert float(level) <= EXPOSURE
+    assert float(re.findall(r"Overall exposure level for \S+: ([\d.]+)", told)[0]) <= EXPOSURE
     command = settings(unit)["ExecStart"][0].split()[0]
     copy = tmp_path / unit.name.replace("@", "@can0")
     copy.write_text(unit.read_text("utf-8").replace(command, sys.executable), encoding="utf-8")
     analyzed("verify", "--man=no", str(copy))
 
 
-def test_the_unit_starts_what_the_command_line_takes() -> None:
-    (start,) = settings()["ExecStart"]
-    command, *arguments = start.replace("%i", "can0").split()
-    assert command == "/usr/lib/taxeld/bin/taxeld"
-    args = cli._parser().parse_args(arguments)
-    assert args.config == Path("/etc/taxeld/can0.toml")
-    assert args.command is cli._run
+(PROPOSED,) = re.findall(r'Environment="TAXELD_ROS2=(.*?)"', BRIDGE.read_text(encoding="utf-8"))
 
 
-def test_the_unit_of_the_bridge_and_the_options_it_proposes_start_what_its_command_line_takes() -> (
-    None
-):
-    (start,) = settings(BRIDGE)["ExecStart"]
-    said = BRIDGE.read_text(encoding="utf-8")
-    assert "TAXELD_ROS2=" in settings(BRIDGE)["Environment"], "none, unless somebody says more"
-    (proposed,) = re.findall(r'Environment="TAXELD_ROS2=(.*?)"', said)
-    for more in ("", proposed):
-        started = start.replace("%i", "can0").replace("$TAXELD_ROS2", more)
-        command, *arguments = started.split()
-        assert command == "/usr/lib/taxeld/bin/taxeld-ros2"
-        args = bridge._parser().parse_args(arguments)
-        assert args.daemon == "/etc/taxeld/can0.toml"
-        assert args.command is bridge._run
-        assert args.sensor_topic == ("/arm/skin" if more else "")
+@pytest.mark.parametrize(
+    ("unit", "more", "program", "expected"),
+    [
+        (UNIT, "", cli, {"config": Path("/etc/taxeld/can0.toml")}),
+        (BRIDGE, "", bridge, {"daemon": "/etc/taxeld/can0.toml", "sensor_topic": ""}),
+        (BRIDGE, PROPOSED, bridge, {"sensor_topic": "/arm/skin"}),
+    ],
+    ids=["the daemon's", "the bridge's", "the bridge's with the options that it proposes"],
+)
+def test_a_unit_starts_what_the_command_line_takes(
+    unit: Path, more: str, program: ModuleType, expected: dict[str, object]
+) -> None:
+    (start,) = settings(unit)["ExecStart"]
+    command, *arguments = start.replace("%i", "can0").replace("$TAXELD_ROS2", more).split()
+    args = program._parser().parse_args(arguments)
+    assert Path(command) == Path("/usr/lib/taxeld/bin") / unit.stem.removesuffix("@")
+    assert vars(args).items() >= ({"command": program._run} | expected).items()
 
 
 def test_the_units_hold_what_the_code_has() -> None:
@@ -92,12 +88,14 @@ def test_the_units_hold_what_the_code_has() -> None:
         assert (each["Restart"], each["RestartPreventExitStatus"]) == (["always"], [usage])
     assert beside["Group"] == unit["Group"], "who may open the daemon's sockets"
     assert not {"Requires", "BindsTo", "PartOf"} & set(beside), "it outlives the daemon"
-    (directory,) = unit["RuntimeDirectory"]
-    for endpoint in (*PublishConfig().endpoints, ControlConfig().endpoint):
-        assert endpoint.startswith(f"ipc:///run/{directory}/")
+    assert "TAXELD_ROS2=" in beside["Environment"], "no options, unless somebody says more"
+    places = {
+        str(Path(endpoint).parent)
+        for endpoint in (*PublishConfig().endpoints, ControlConfig().endpoint)
+    }
+    assert places == {f"ipc:/run/{unit['RuntimeDirectory'][0]}"}
     made = (SYSTEMD / "taxeld.sysusers").read_text(encoding="utf-8")
-    assert re.search(rf"^u {unit['User'][0]} ", made, re.MULTILINE)
-    assert re.search(rf"^g {CHANGE_GROUP} ", made, re.MULTILINE)
+    assert re.search(rf"^u {unit['User'][0]} (.*\n)*g {CHANGE_GROUP} ", made, re.MULTILINE)
     assert f'GROUP="{unit["Group"][0]}"' in RULES.read_text(encoding="utf-8")
     assert int(unit["LimitNOFILE"][0]) == door.DESCRIPTORS
     bytes_max = int(unit["MemoryMax"][0].removesuffix("G")) << 30
