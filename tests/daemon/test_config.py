@@ -5,6 +5,7 @@ import json
 import os
 import stat
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import MISSING
 from pathlib import Path
 from typing import get_type_hints
@@ -103,6 +104,10 @@ def faults(text: str) -> list[str]:
             "skin[1].source: can can0 is of link1 already, with other keys; name it in [source]",
         ),
         (MINIMAL + "[[skin]]\n" * 9, "skin: has 9 links; 8 at most"),
+        *(
+            (text, "x.toml: not TOML: ")
+            for text in ("a = ", "a = " + "[" * 100_000, f"a = {'9' * 5000}", "a = '\0'")
+        ),
     ],
 )
 def test_each_fault_is_one_line_that_names_its_path(text: str, fault: str) -> None:
@@ -127,11 +132,9 @@ def test_any_value_is_taken_or_refused_in_a_line(table: type, data: st.DataObjec
 
 def test_a_key_of_thousands_of_parts_is_refused_before_it_takes_memory() -> None:
     tracemalloc.start()
-    found = faults(f"a{'.a' * 30_000} = 1")
-    peak = tracemalloc.get_traced_memory()[1]
+    assert faults(f"a{'.a' * 30_000} = 1") == ["x.toml: a key of more than 8 parts: a" + ".a" * 8]
+    assert tracemalloc.get_traced_memory()[1] < 1_000_000
     tracemalloc.stop()
-    assert found == ["x.toml: a key of more than 8 parts: a" + ".a" * 8]
-    assert peak < 1_000_000
 
 
 def test_all_faults_are_found_at_once() -> None:
@@ -140,49 +143,37 @@ def test_all_faults_are_found_at_once() -> None:
     assert len(faults(wrong + "[[skin]]\na = 1\nsource = {b = 2}")) == 6
 
 
-@pytest.mark.parametrize("text", ["a = ", "a = " + "[" * 100_000, f"a = {'9' * 5000}", "a = '\0'"])
-def test_what_is_not_toml_is_one_line(text: str) -> None:
-    assert [line.startswith("x.toml: not TOML: ") for line in faults(text)] == [True]
-
-
 @pytest.mark.parametrize(
-    ("content", "fault"),
+    ("made", "fault"),
     [
-        (b"\xff\xfe", "'utf-8' codec can't decode"),
-        (b"#" * 70_000, "is larger than 64000 bytes"),
-        (None, "is no regular file"),
+        (lambda path: path.write_bytes(b"\xff\xfe"), "'utf-8' codec can't decode"),
+        (lambda path: path.write_bytes(b"#" * 70_000), "is larger than 64000 bytes"),
+        (os.mkfifo, "is no regular file"),
     ],
     ids=["no text", "too large", "a pipe"],
 )
 def test_a_file_that_is_no_configuration_is_one_line(
-    tmp_path: Path, content: bytes | None, fault: str
+    tmp_path: Path, made: Callable[[Path], object], fault: str
 ) -> None:
-    path = tmp_path / "taxeld.toml"
-    if content is None:
-        os.mkfifo(path)
-    else:
-        path.write_bytes(content)
+    made(tmp_path / "taxeld.toml")
     with pytest.raises(ConfigError, match=f"^[^\n]+taxeld.toml: unreadable.*{fault}[^\n]*$"):
-        load(path)
+        load(tmp_path / "taxeld.toml")
 
 
 def test_one_link_in_an_array_of_tables_is_the_one_skin() -> None:
     one, same = (parse(MINIMAL + f"{t}\nstate_dir = 's'") for t in ("[skin]", "[[skin]]"))
-    assert same.source == one.source
-    assert (same.skin.layout, same.skin.state_dir) == (one.skin.layout, "s")
+    assert (same.source, same.skin.layout) == (one.source, one.skin.layout)
+    assert same.skin.state_dir == "s"
 
 
 def test_links_without_a_source_share_that_of_all_or_else_the_first_links() -> None:
-    own = 'source = {kind = "serial", channel = "/dev/skin"}'
-    shared = parse(LINKS.format(own, ""))
-    assert [(bus.channel, links) for bus, links in shared.buses] == [
-        ("/dev/skin", [0]),
-        ("can0", [1]),
-    ]
-    alone = parse(LINKS.replace(SOURCE, "").format(own, ""))
-    assert [(bus.channel, links) for bus, links in alone.buses] == [("/dev/skin", [0, 1])]
-    assert alone.source.channel == "/dev/skin"
-    assert [one.skin.layout for one in alone.each] == [alone.skin.layout] * 2
+    own = LINKS.format('source = {kind = "serial", channel = "/dev/skin"}', "")
+    shared, alone = (
+        [(bus.channel, links) for bus, links in parse(text).buses]
+        for text in (own, own.replace(SOURCE, ""))
+    )
+    assert shared == [("/dev/skin", [0]), ("can0", [1])]
+    assert alone == [("/dev/skin", [0, 1])]
 
 
 def test_the_documented_keys_are_the_codes() -> None:
@@ -196,28 +187,35 @@ def test_the_documented_keys_are_the_codes() -> None:
     assert [" ".join(line.split()) for line in documented[1:]] == lines
 
 
+CYLINDER = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+
+
+@pytest.mark.parametrize(
+    ("scene", "layout", "expected"),
+    [
+        ('bundle = "bracket"', "skin.json", ("{place}/bracket", "{place}/skin.json")),
+        ('bundle = "handle"', CYLINDER, ("handle", CYLINDER)),
+        ('bundle = "box"', CYLINDER, ("box", CYLINDER)),
+        ('bundles = ["box", "bracket/"]', CYLINDER, ("box", "{place}/bracket", CYLINDER)),
+    ],
+    ids=["beside the file", "in the shell's directory", "the shipped one", "two"],
+)
 def test_a_bundle_and_a_layout_are_named_as_seen_from_the_configuration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    scene: str,
+    layout: str,
+    expected: tuple[str, ...],
 ) -> None:
     place, shell = tmp_path / "robot", tmp_path / "shell"
-    for directory in (place / "bracket", place / "box", shell / "handle"):
-        directory.mkdir(parents=True)
-    (place / "skin.json").touch()
+    for path in (place / "bracket", place / "box", place / "skin.json", shell / "handle"):
+        path.mkdir(parents=True)
     monkeypatch.chdir(shell)
-    path = place / "skin.toml"
-
-    def named(bundle: str, layout: str) -> tuple[str, str]:
-        text = MINIMAL.replace('"box"', f'"{bundle}"') + f'[skin]\nlayout = "{layout}"\n'
-        path.write_text(text, encoding="utf-8")
-        config = load(path)
-        return config.scene.bundle, config.skin.layout
-
-    cylinder = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-    assert named("bracket", "skin.json") == (str(place / "bracket"), str(place / "skin.json"))
-    assert named("handle", cylinder) == ("handle", cylinder), "in the shell's directory"
-    assert named("box", cylinder) == ("box", cylinder), "the shipped one"
-    path.write_text(SOURCE + '[scene]\nbundles = ["box", "bracket/"]\n', encoding="utf-8")
-    assert load(path).scene.names == ("box", str(place / "bracket"))
+    text = f'{SOURCE}[scene]\n{scene}\n[skin]\nlayout = "{layout}"\n'
+    (place / "skin.toml").write_text(text, encoding="utf-8")
+    config = load(place / "skin.toml")
+    found = *config.scene.names, config.skin.layout
+    assert found == tuple(name.format(place=place) for name in expected)
 
 
 KEYS = "\n[curve]\ndirectory = '/keys'"
@@ -241,14 +239,12 @@ NONE_AT_ALL = [
 @pytest.mark.parametrize("endpoint", [*LOCAL, *BEYOND, *NONE_AT_ALL])
 def test_what_lies_beyond_this_machine_is_refused_or_takes_keys(endpoint: str) -> None:
     bare, keyed = (endpoints.fault(endpoint, has_keys=has) for has in (False, True))
-    assert (bare is None) is (endpoint in LOCAL)
-    assert (keyed is None) is (endpoint not in NONE_AT_ALL)
+    assert (bare is None, keyed is None) == (endpoint in LOCAL, endpoint not in NONE_AT_ALL)
     if endpoint not in NONE_AT_ALL:
-        assert endpoints.is_local(endpoint) is (endpoint in LOCAL)
-        assert takes_keys(endpoint) is (endpoint in BEYOND)
-    if endpoint in BEYOND:
-        assert bare
-        assert "is not local; use ipc:///path or tcp://127.0.0.1:port, or set curve.dir" in bare
+        of_both = endpoints.is_local(endpoint), takes_keys(endpoint)
+        assert of_both == (endpoint in LOCAL, endpoint in BEYOND)
+    cure = "is not local; use ipc:///path or tcp://127.0.0.1:port, or set curve.dir"
+    assert (cure in (bare or "")) is (endpoint in BEYOND)
 
 
 def test_with_keys_any_of_them_may_lie_beyond_this_machine() -> None:
@@ -260,9 +256,7 @@ def test_with_keys_any_of_them_may_lie_beyond_this_machine() -> None:
 @pytest.mark.parametrize("curve", ["", KEYS])
 def test_the_loop_serves_no_network_with_keys_or_without(endpoint: str, curve: str) -> None:
     tables = f"[publish]\nendpoints = ['{endpoint}']\n[control]\nendpoint = '{endpoint}'"
-    with pytest.raises(ConfigError) as error:
-        parse(MINIMAL + tables + curve)
-    assert error.value.faults == [
+    assert faults(MINIMAL + tables + curve) == [
         f"{key}: '{endpoint}' is of TCP: name it in {relay}; here stands ipc:///path alone"
         for key, relay in (
             ("publish.endpoints", "relay.publish"),
@@ -278,13 +272,12 @@ def test_a_users_own_daemon_has_its_sockets_in_the_users_runtime_directory(
     monkeypatch.setattr(endpoints, "RUNTIME", services)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(users))
     stream, own = f"ipc://{services}/stream", f"ipc://{users}/taxeld/stream"
-    assert endpoints.for_this_user(stream) == own
-    assert endpoints.no_directory(own) is None
+    assert (endpoints.for_this_user(stream), endpoints.no_directory(own)) == (own, None)
     users.mkdir()
     endpoints.make_directory(own)
     assert stat.S_IMODE((users / "taxeld").stat().st_mode) == 0o700
-    for other in ("ipc:///tmp/x", f"ipc://{services}/a/b", "tcp://127.0.0.1:1", ""):
-        assert endpoints.for_this_user(other) == other
+    others = ["ipc:///tmp/x", f"ipc://{services}/a/b", "tcp://127.0.0.1:1", ""]
+    assert [*map(endpoints.for_this_user, others)] == others
     services.mkdir(parents=True)
     assert endpoints.for_this_user(stream) == stream, "the service is open to this user"
     services.rmdir()
