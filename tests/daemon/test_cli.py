@@ -69,6 +69,7 @@ FAULTS = [  # of what a run opens; those of keys alone are of the configuration'
         "scene.bundle: box is for the layout cylinder:rows=5,columns=16",
     ),
     ("skin", "full_scale_depth_m", 0.004, "skin.full_scale_depth_m: is 0.004, but box"),
+    ("skin", "calibration", "c.toml", "skin.calibration: c.toml: unreadable (No such file or dir"),
     ("filter", "proposal", "ddpm-7", "filter.proposal: box has no 'ddpm-7'; it has auto, "),
     ("curve", "directory", "/nowhere", "curve.directory: /nowhere/server.key_secret cannot be"),
 ]
