@@ -89,9 +89,9 @@ def _open(source: SourceConfig) -> None:
 def notes(config: Config) -> list[str]:
     """Lines on matters that no check can decide."""
     source = config.source
-    found = [] if config.scene.names else [ALONE]
-    found += [line] if (line := _down(source)) else []
-    return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
+    listens = source.listen_only and not source.modules
+    found = [ALONE * (not config.scene.names), _down(source), MODULES_TO_COME * listens]
+    return [*filter(None, found)]
 
 
 def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:

@@ -69,23 +69,15 @@ def _toml(value: object) -> str:
 
 def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
     """The keys that follow from the options."""
-    source, named, layout = (
-        connection(options["source"], "--source"),
-        options["bundle"],
-        options["layout"],
-    )
-    usual = SkinConfig()
-    depth_m, built_for = usual.full_scale_depth_m, usual.layout
-    if named:
-        built = bundle.manifest_of(named)  # refuses a directory that is no bundle
-        depth_m, built_for = built.depth_max_m, built.layout.name
-    if not layout and ":" not in built_for:
-        raise SetupError(f"--layout: name the file of {built_for}, for which {named} was built")
-    layout = layout or built_for
+    source, named = connection(options["source"], "--source"), options["bundle"]
+    usual, built = SkinConfig(), bundle.manifest_of(named) if named else None
+    layout = options["layout"] or (built.layout.name if built else usual.layout)
+    if not options["layout"] and ":" not in layout:
+        raise SetupError(f"--layout: name the file of {layout}, for which {named} was built")
     placed = layouts.load(layout)
     skin: dict[str, Any] = {"layout": layout if generated.parse(layout) else _from(path, layout)}
-    if depth_m != usual.full_scale_depth_m:
-        skin["full_scale_depth_m"] = depth_m
+    if built and built.depth_max_m != usual.full_scale_depth_m:
+        skin["full_scale_depth_m"] = built.depth_max_m
     planned = SourceConfig(**source)
     least_ms = 0 if planned.kind == "array" else least_period_ms(planned, placed)
     if least_ms > planned.period_ms:

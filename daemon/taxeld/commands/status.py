@@ -74,7 +74,8 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     none = "none; full scale and mount are as configured"
     yield "Calibration", none if days < 0.0 else f"{days:.1f} days old"
     for name, link in health.get("links", {}).items():
-        yield f"Link {name}", _link(link)
+        left_out = "" if link["why"] == Why.VALID else f"is left out, {reason_of(link['why'])}"
+        yield f"Link {name}", f"{left_out or 'works'}, {len(link['dead_taxels'])} dead taxels"
     dead = health["dead_taxels"]
     yield "Dead taxels", f"{len(dead)} ({', '.join(map(str, dead))})" if dead else "none"
     p50, p99, top = (health["lat_us"]["total"][key] / 1e3 for key in ("p50", "p99", "max"))
@@ -105,8 +106,3 @@ def _modules(answer: dict[str, Any]) -> str:
     match = answer["estimate"]["why"] != Why.MODULES_MISSING
     wrong = mismatch(missing, modules["layout"], modules["foreign"], match)
     return wrong or f"{modules['layout']}, as in the layout"
-
-
-def _link(link: dict[str, Any]) -> str:
-    works = "works" if link["why"] == Why.VALID else f"is left out, {reason_of(link['why'])}"
-    return f"{works}, {len(link['dead_taxels'])} dead taxels"

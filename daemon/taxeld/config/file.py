@@ -72,11 +72,7 @@ def parse(text: str, name: str = "configuration") -> Config:
         ConfigError: all faults at once.
     """
     faults: list[str] = []
-    links: tuple[LinkConfig, ...] = ()
-    try:
-        given = gate.loads(text)
-    except ValueError as error:
-        raise ConfigError([f"{name}: {error}"]) from None
+    given, links = gate.loads(text, name), tuple[LinkConfig, ...]()
     data, own = given, None  # own: the source of the first of several links
     if isinstance(given.get("skin"), list):
         links = gate.value(tuple[LinkConfig, ...], given["skin"], faults, "skin")

@@ -75,16 +75,15 @@ def keys_of(cls: type) -> list[Any]:
     return [each for each in fields(cls) if "unwritten" not in each.metadata]
 
 
-def loads(text: str) -> dict[str, Any]:
-    """The values of TOML text. Raises ValueError with the fault."""
+def loads(text: str, name: str) -> dict[str, Any]:
+    """The values of TOML text; `name` is the file's, for messages. Raises ConfigError."""
     if long := LONG_KEY.search(text):
-        raise ValueError(f"a key of more than {KEY_PARTS} parts: {long[0][:KEY_SHOWN]}")
+        raise ConfigError([f"{name}: a key of more than {KEY_PARTS} parts: {long[0][:KEY_SHOWN]}"])
     try:
         return tomllib.loads(text)
-    except RecursionError:
-        raise ValueError("not TOML: nested too deep") from None
-    except ValueError as error:
-        raise ValueError(f"not TOML: {error}") from None
+    except (ValueError, RecursionError) as error:
+        why = "nested too deep" if isinstance(error, RecursionError) else error
+        raise ConfigError([f"{name}: not TOML: {why}"]) from None
 
 
 def parse(cls: type[T], text: str, name: str) -> T:
@@ -94,10 +93,7 @@ def parse(cls: type[T], text: str, name: str) -> T:
         ConfigError: all faults at once.
     """
     faults: list[str] = []
-    try:
-        made = take(cls, loads(text), faults)
-    except ValueError as error:
-        faults.append(f"{name}: {error}")
+    made = take(cls, loads(text, name), faults)
     if faults:
         raise ConfigError(faults)
     return cast(T, made)

@@ -55,8 +55,6 @@ class Sampler:
                 raise ValueError("a touch gets no finite poses")
         except Exception as error:  # onnxruntime's own exceptions share no public base
             reason = manifest.reason(error)
-            if "Available memory" in reason:
-                reason = f"it needs more than {MOST_BYTES} bytes"
             raise SetupError(f"{path}: unusable sampler ({reason}); {manifest.AGAIN}") from None
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:

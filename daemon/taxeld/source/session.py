@@ -253,10 +253,7 @@ def _about(directory: Path) -> dict[str, Any] | None:
     path = directory / ABOUT
     if not path.exists():
         return None
-    try:
-        found = gate.loads("\n".join(islice(_Lines(path), ABOUT_LINES)))
-    except ValueError as error:
-        raise SetupError(f"{path}: damaged ({error})") from None
+    found = gate.loads("\n".join(islice(_Lines(path), ABOUT_LINES)), str(path))
     if not all(type(count) is int and 0 <= count < COUNT_MAX for count in found.values()):
         raise SetupError(f"{path}: damaged (it counts what is no number)")
     version = found.pop("version", 1)
