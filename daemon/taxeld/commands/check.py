@@ -89,9 +89,8 @@ def _open(source: SourceConfig) -> None:
 def notes(config: Config) -> list[str]:
     """Lines on matters that no check can decide."""
     source = config.source
-    listens = source.listen_only and not source.modules
-    found = [ALONE * (not config.scene.names), _down(source), MODULES_TO_COME * listens]
-    return [*filter(None, found)]
+    to_come = MODULES_TO_COME * (source.listen_only and not source.modules)
+    return [*filter(None, (ALONE * (not config.scene.names), _down(source), to_come))]
 
 
 def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
