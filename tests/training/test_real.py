@@ -176,7 +176,7 @@ def test_a_session_has_each_recorded_touch_and_is_graded(
         for each in said:
             add(file, each["t"], topics.ESTIMATE, msgpack.packb(each))
     scenario = Scenario(str(place / "part"), layout=str(place / "arm.csv"), transport="array")
-    Run("recorded", 0, "array", "real", scenario, said[-1]["t"], ()).write(place)
+    Run("recorded", 0, "real", scenario, said[-1]["t"], ()).write(place)
     grade(place).write(place)
     told = json.loads((place / "grade.json").read_text("utf-8"))
     assert (told["estimates"], told["contacts"]) == (len(said), count[-1])
