@@ -53,14 +53,14 @@ class PoseWatch:
 
     def look(self, now: float, line: PeerLine, *, is_heard: bool) -> None:
         """Sum up at the Unix time `now`; `line`: what the door says of the robot. Unless the door
-        `is_heard`, no fault is the robot's."""
+        `is_heard`, nothing is known of the robot, and the fault stays as it was."""
         self.age_s = NEVER_S if math.isnan(self._came_s) else max(now - self._came_s, 0.0)
         self._looks.append((now, self._received, self._nearest_s))
         then, before, _ = self._looks[0]
         self.rate_hz = (self._received - before) / (now - then) if now > then else 0.0
         offsets = [offset for *_, offset in self._looks if math.isfinite(offset)]
         self.offset_s = min(offsets, key=abs, default=self.offset_s)
-        found = self._judge(line) if is_heard else ""
+        found = self._judge(line) if is_heard else self.fault
         self._times = self._times + 1 if found == self._found else 1
         if self._times >= SEEN or not found:
             self.fault = found
