@@ -15,10 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.door.control import Control, for_members, packed_ok
-from taxeld.stream import client, topics
+from taxeld.door.process import Door
+from taxeld.door.settings import Settings
+from taxeld.stream import client, pair, topics
+from taxeld.stream.pair import Kind
 from tests.rig.examples import examples
 
-from ..rig.clocks import PATIENCE_S
+from ..rig.clocks import PATIENCE_S, Clock
 from ..rig.processes import free_port
 from .stand import INFO, Stand, another_user, needs_root, open_to_all
 
@@ -74,6 +77,20 @@ def test_a_loop_that_does_not_answer_is_said_to_the_client(stand: Stand) -> None
     status.send(msgpack.packb({"cmd": "status"}))
     assert status.poll(1000 * PATIENCE_S)
     assert msgpack.unpackb(status.recv())["error"].startswith("the loop is silent")
+
+
+def test_a_door_that_was_slow_does_not_say_that_the_loop_is_silent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock, (loop, end) = Clock(), pair.open_pair()
+    with loop, end:
+        monkeypatch.setattr("taxeld.door.process.time.monotonic", clock)
+        door = Door(Settings(), end)
+        pair.send(loop, Kind.MESSAGE, topics.ESTIMATE, 1.0, b"\x80")
+        for silent in ("", "the loop is silent; the log of the daemon may say why"):
+            clock.now += 10.0
+            assert msgpack.unpackb(door._on_status()).get("error", "") == silent
+        door.close()
 
 
 def ask(endpoint: str, command: str, into: Path) -> None:

@@ -247,7 +247,10 @@ class Door:
         return pair.send(self._end, Kind.CHANGE, number, command, arguments)
 
     def _on_status(self) -> bytes:
-        if time.monotonic() > self._estimate_s + SILENT_S:
+        now_s = time.monotonic()
+        if now_s > self._estimate_s + SILENT_S:  # or this door was slow
+            self._take_from_loop(now_s)
+        if now_s > self._estimate_s + SILENT_S:
             return packed_error("the loop is silent; the log of the daemon may say why")
         latest = {"estimate": self._latest[ESTIMATE], "health": self._latest.get(HEALTH, NOTHING)}
         return packed_ok(**latest, **self._state)
