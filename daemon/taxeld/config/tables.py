@@ -192,7 +192,9 @@ class PublishConfig:
 
 @dataclass(frozen=True, slots=True)
 class ControlConfig:
-    endpoint: str = key("ipc:///run/taxeld/control", doc="REP endpoint, ipc alone; empty: none")
+    endpoint: str = key(
+        "ipc:///run/taxeld/control", doc="answers REQ clients, ipc alone; empty: none"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,8 +202,8 @@ class RelayConfig:
     """`[relay]`: the streams over TCP."""
 
     publish: tuple[str, ...] = key((), doc="where they are published; [] is nowhere")
-    control: str = key("", doc="where status and info are answered; empty: nowhere")
-    change: bool = key(False, doc="tare and reset are taken there as well")
+    control: str = key("", doc="where status, info and memory are answered; empty: nowhere")
+    change: bool = key(False, doc="tare, reset and prior are taken there as well")
 
 
 @dataclass(frozen=True, slots=True)
