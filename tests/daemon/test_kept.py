@@ -346,12 +346,13 @@ def test_a_disk_that_takes_nothing_is_one_warning(
 def test_each_door_is_handed_what_was_felt_out_of_contact_and_at_most_once_a_second(
     begin: Begin,
 ) -> None:
-    run, link = begin(), Link({}, lambda *_: None, {})
+    run, relay = begin(), Link({}, lambda *_: None, {})
+    link = Link({}, lambda *_: None, {}, relay)
     _, world = felt(run)
-    for start_s in (0.0, 10.0):
+    for start_s, each in ((0.0, link), (10.0, link), (20.0, relay)):
         loops, door = pair.open_pair()
-        link.attach(loops, start_s)
-        link.is_ready = pair.receive(door) is not None  # who speaks
+        each.attach(loops, start_s)
+        each.is_ready = pair.receive(door) is not None  # who speaks
         run.is_touched = True
         run.store.remember(link, start_s)
         run.is_touched = False
@@ -366,9 +367,10 @@ def test_each_door_is_handed_what_was_felt_out_of_contact_and_at_most_once_a_sec
             assert all(handed[name].tobytes() == told[name].tobytes() for name in told)
         door.close()
     world.find(run.estimator, least=1)
-    run.store.remember(link, 10.0 + 0.9 * kept.MEMORY_S)
+    run.store.remember(link, 20.0 + 0.9 * kept.MEMORY_S)
     assert not run.store._writer.is_busy
-    link.detach()
+    for each in link.doors:
+        each.detach()
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ import zmq
 from taxeld.door.settings import Settings
 from taxeld.prior import PosePrior
 from taxeld.service.doorkeeper import Doorkeeper
+from taxeld.stream import client
 from taxeld.stream.link import Link
 
-from ..rig.clocks import until
+from ..rig.clocks import PATIENCE_S, until
 from ..rig.processes import free_port
 from ..rig.sockets import Sockets
 
@@ -35,34 +37,32 @@ class Stand(Sockets):
         super().__init__()
         self.stream, self.control = f"ipc://{place}/stream", f"ipc://{place}/control"
         served = {"publish": (self.stream,), "control": self.control, "queue": QUEUE} | settings
-        self.poses: list[tuple[float, float, float, float]] = []
+        self.other = "".join(served.get("relay_publish", ())[:1])
+        self.poses: list[tuple[Any, ...]] = []  # (t, x, y, θ, when it came, link)
         self.done: list[str] = []
         changes: dict[str, Any] = {
             name: lambda name=name: self.done.append(name) for name in ("tare", "reset")
         }
         self.priors: list[PosePrior] = []
         changes["prior"] = self._prior
-        self.link = Link(INFO, self._on_pose, changes)
-        self.further: list[tuple[float, float, float, float]] = []  # poses of further links
-        self.keeper = Doorkeeper(Settings(**served))
-        self.callback(self.keeper.close)
+        given = INFO, lambda *pose: self.poses.append(pose), changes
+        self.link = Link(*given, Link(*given))
+        self.keepers = [Doorkeeper(each) for each in Settings(**served).doors]
+        self.keeper, self.relay = self.keepers
         self._next_estimate_s = 0.0
         self.sent = 0
+        for keeper in self.keepers:
+            self.callback(keeper.close)
         try:
-            self.keeper.wait(self.link)
+            for keeper, link in zip(self.keepers, self.link.doors, strict=True):
+                keeper.wait(link)
         except BaseException:
             self.close()
             raise
 
     @property
     def pid(self) -> int:
-        """Of the door that is there."""
-        process = self.keeper._process
-        assert process is not None
-        return process.pid
-
-    def _on_pose(self, t: float, x: float, y: float, theta: float, link: int) -> None:
-        (self.further if link else self.poses).append((t, x, y, theta))
+        return pid(self.keeper)
 
     def _prior(self, **given: Any) -> str:
         pose = PosePrior(**given)
@@ -76,7 +76,8 @@ class Stand(Sockets):
             self._next_estimate_s = now_s + 0.05
             self.sent += 1
             self.link.send(b"/taxeld/estimate", {"seq": self.sent}, 1.0)
-        self.keeper.look(now_s)
+        for keeper in self.keepers:
+            keeper.look(now_s)
 
     def until(self, holds: Callable[[], object]) -> None:
         until(holds, self.look)
@@ -112,6 +113,13 @@ class Stand(Sockets):
         made: dict[str, Any] = msgpack.unpackb(self.received(asking)[0])
         return made
 
+    def asked_by_client(self, command: str, endpoint: str) -> dict[str, Any]:
+        """What the command line's client is answered."""
+        with ThreadPoolExecutor() as threads:
+            asked = threads.submit(client.ask, endpoint, command, PATIENCE_S)
+            self.until(asked.done)
+            return asked.result() or {}
+
     def until_bound(self, socket: zmq.Socket[Any], endpoint: str) -> None:
         """Where another socket has just been closed."""
 
@@ -123,6 +131,18 @@ class Stand(Sockets):
             return True
 
         self.until(bound)
+
+
+def pid(keeper: Doorkeeper) -> int:
+    """Of the door that is there."""
+    process = keeper._process
+    assert process is not None
+    return process.pid
+
+
+def seq(parts: list[bytes]) -> int:
+    """The number of an estimate; 0 of another message."""
+    return int(msgpack.unpackb(parts[1]).get("seq", 0))
 
 
 def robots_endpoint(host: str = "127.0.0.1") -> str:

@@ -3,10 +3,8 @@
 import grp
 import os
 import socket as kernel
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import msgpack
 import pytest
@@ -17,7 +15,7 @@ from hypothesis import strategies as st
 from taxeld.door.control import Control, for_members, packed_ok
 from taxeld.door.process import Door
 from taxeld.door.settings import Settings
-from taxeld.stream import client, pair, topics
+from taxeld.stream import pair, topics
 from taxeld.stream.pair import Kind
 from tests.rig.examples import examples
 
@@ -198,11 +196,5 @@ def test_over_tcp_nothing_is_changed_unless_that_is_configured(tmp_path: Path) -
 
 
 def test_the_command_line_client_outlives_a_door(stand: Stand) -> None:
-    asked: list[Any] = []
-    thread = threading.Thread(
-        target=lambda: asked.append(client.ask(stand.control, "info", timeout_s=PATIENCE_S))
-    )
     os.kill(stand.pid, 9)
-    thread.start()
-    stand.until(lambda: not thread.is_alive())
-    assert asked[0]["ok"]
+    assert stand.asked_by_client("info", stand.control)["ok"]

@@ -2,11 +2,9 @@
 
 import json
 import os
-import queue
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +15,27 @@ from taxeld.errors import SetupError
 from taxeld.service import doorkeeper
 from taxeld.service.doorkeeper import Doorkeeper
 
-from ..rig.clocks import PATIENCE_S, until
-from .stand import INFO, Stand
+from ..rig.clocks import until
+from ..rig.processes import free_port
+from .stand import INFO, Stand, pid, seq
 
 
 def test_a_killed_door_is_back_and_subscribers_come_back_by_themselves(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with Stand(tmp_path) as stand:
-        heard = stand.listener(b"/taxeld/")
-        for number in (signal.SIGKILL, signal.SIGSEGV):
-            before = stand.pid
-            os.kill(before, number)
-            stand.until(lambda before=before: stand.link.is_ready and stand.pid != before)
-            while heard.poll(0):
-                heard.recv_multipart()
-            stand.received(heard)
-        assert stand.keeper.starts == 3
+    tcp = f"tcp://127.0.0.1:{free_port()}"
+    with Stand(tmp_path, relay_publish=(tcp,)) as stand:
+        heard = [stand.listener(b"/taxeld/", endpoint=at) for at in (stand.stream, tcp)]
+        for number, own in ((signal.SIGKILL, 0), (signal.SIGSEGV, 0), (signal.SIGKILL, 1)):
+            keeper, link, before = stand.keepers[own], stand.link.doors[own], stand.sent
+            other = stand.losses(heard[1 - own])
+            os.kill(pid(keeper), number)
+            stand.until(lambda link=link: not link.is_ready)
+            stand.until(lambda link=link: link.is_ready)
+            while seq(stand.received(heard[own])) <= before:
+                pass
+            assert not other.poll(0)
+        assert [keeper.starts for keeper in stand.keepers] == [3, 2]
         assert stand.answer({"cmd": "info"})["info"] == INFO
     assert "door: ended: Killed; it is started again" in caplog.messages
 
@@ -82,6 +84,7 @@ def test_signals_of_a_terminal_or_a_service_that_stops_leave_the_door_to_its_loo
         ({"control": "ipc://{}/precious"}, "control.endpoint: .* is no socket; remove it"),
         ({"control": "ipc://{}/x/y"}, "control.endpoint: .* does not exist; the service makes it"),
         ({"keys": "{}"}, "curve.directory: .*server.key_secret cannot be read"),
+        ({"keys": "{}" + "x" * 300}, r"curve.directory: .*cannot be read \(File name too long"),
     ],
 )
 def test_an_endpoint_that_cannot_be_served_is_one_line(
@@ -156,6 +159,7 @@ def test_each_limit_of_the_door_is_set_in_the_kernel_which_ends_it_first(tmp_pat
         assert found["Max processes"] == ["0", "0"]
         assert int((place / "oom_score_adj").read_text(encoding="ascii")) == OOM_SCORE
         assert len(list((place / "task").iterdir())) < 8
+        assert stand.relay.starts == 0  # nobody is served over TCP
 
 
 def test_a_door_that_is_let_go_is_not_started_again(
@@ -173,37 +177,12 @@ def test_a_door_that_is_let_go_is_not_started_again(
     assert (stand.keeper.starts, caplog.messages) == (1, [])
 
 
-def test_a_door_that_is_starting_ends_before_the_loop_where_memory_is_short_and_with_it(
+def test_a_door_that_does_not_start_is_ended_with_its_loop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    started = queue.SimpleQueue[subprocess.Popen[bytes]]()
-    begun, goes_on = threading.Event(), threading.Event()
-
-    class Late(subprocess.Popen[bytes]):
-        def __init__(self, *given: Any, **how: Any) -> None:
-            begun.set()
-            goes_on.wait()
-            super().__init__(*given, **how)
-            started.put(self)
-
-    monkeypatch.setattr(sys, "executable", executable(tmp_path, "#!/bin/sh\nexec sleep 60\n"))
+    monkeypatch.setattr(sys, "executable", executable(tmp_path, "#!/bin/sh\nexec sleep 600\n"))
     monkeypatch.setattr(doorkeeper, "STOP_S", 1.0)
-    monkeypatch.setattr(subprocess, "Popen", Late)
     keeper = Doorkeeper(Settings(publish=(f"ipc://{tmp_path}/stream",)))
-    assert begun.wait(PATIENCE_S)
-    join = keeper._thread.join
-
-    def then_join(seconds: float) -> None:
-        if not goes_on.is_set():  # it starts once `close` waits for the thread
-            goes_on.set()
-            place = Path(f"/proc/{started.get().pid}/oom_score_adj")
-            until(lambda: int(place.read_text(encoding="ascii")) == OOM_SCORE)
-        join(seconds)
-
-    monkeypatch.setattr(keeper._thread, "join", then_join)
+    process = until(lambda: keeper._newest)
     keeper.close()
-    try:
-        assert not keeper._thread.is_alive()
-    finally:
-        assert keeper._newest is not None
-        keeper._newest.kill()
+    assert (process.poll(), keeper.starts) == (-signal.SIGKILL, 1)

@@ -15,7 +15,7 @@ from taxeld.stream import pair, topics
 from taxeld.stream.link import PACKETS_PER_LOOK, SILENT_S, START_S, Link, Report
 from taxeld.stream.pair import Kind
 
-POSE = [1.0, 2.0, 3.0, 4.0]
+POSE, CAME = [1.0, 2.0, 3.0, 4.0], 5.0
 INFO = {"taxeld": "0"}
 
 
@@ -75,13 +75,13 @@ def test_what_a_door_says_is_done_and_it_is_told_first_who_speaks(ends: Ends) ->
     wanted = [b"/taxeld/%d" % number for number in range(20)]
     report = Report(keys_refused=3)
     report.robot.reason = "theta is no number"
-    ends.say(Kind.POSES, [[POSE, [5.0, 6.0, 7.0, 8.0]], [POSE]], False)
+    ends.say(Kind.POSES, [[POSE, [5.0, 6.0, 7.0, 8.0]], [POSE]], False, CAME)
     ends.say(Kind.CHANGE, 7, "tare", {})
     ends.say(Kind.WANTED, wanted)
     ends.say(Kind.REPORT, asdict(report))
     ends.look()
     ends.link.ask_poses(also_next=True)
-    assert ends.poses == [(*POSE, 0), (5.0, 6.0, 7.0, 8.0, 0), (*POSE, 1)]
+    assert ends.poses == [(*POSE, CAME, 0), (5.0, 6.0, 7.0, 8.0, CAME, 0), (*POSE, CAME, 1)]
     assert ends.done == ["tare"]
     assert all(map(ends.link.wants, wanted))
     assert not ends.link.wants(topics.TAXELS)
@@ -147,16 +147,16 @@ def test_a_packet_that_is_none_is_logged_and_counted_and_its_door_is_let_go(
     ends.look()
     assert (ends.link.end is None) == (ends.link.failed > 0)
     ends.attach()
-    ends.say(Kind.POSES, [[POSE]], False)
+    ends.say(Kind.POSES, [[POSE]], False, CAME)
     ends.look()
-    assert ends.poses[-1] == (*POSE, 0)
+    assert ends.poses[-1] == (*POSE, CAME, 0)
     ends.close()
 
 
 def test_of_a_door_that_says_much_a_look_takes_a_bounded_part(ends: Ends) -> None:
     said = PACKETS_PER_LOOK + 10
     for _ in range(said):
-        ends.say(Kind.POSES, [[POSE]], False)
+        ends.say(Kind.POSES, [[POSE]], False, CAME)
     ends.look()
     assert len(ends.poses) == PACKETS_PER_LOOK
     ends.look()

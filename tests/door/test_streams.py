@@ -1,5 +1,6 @@
 """Subscribers at the door: newcomers, the slow, the silent, and those who send too much."""
 
+import contextlib
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,22 +9,20 @@ import msgpack
 import pytest
 import zmq
 
-from taxeld.door import streams
 from taxeld.stream import topics
 from taxeld.stream.sockets import open_socket
 
 from ..rig.processes import attacked, free_port, resident_bytes
 from ..rig.sockets import Sockets
-from .stand import INFO, QUEUE, Stand
+from .stand import INFO, QUEUE, Stand, seq
 
 
 @pytest.fixture(params=["ipc", "tcp"])
 def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Stand]:
-    """`stand.stream` is the endpoint of that kind."""
-    tcp = f"tcp://127.0.0.1:{free_port()}"
-    with Stand(tmp_path, relay_publish=(tcp,)) as made:
+    """`stand.stream` is the endpoint of that kind, `stand.other` of the other."""
+    with Stand(tmp_path, relay_publish=(f"tcp://127.0.0.1:{free_port()}",)) as made:
         if request.param == "tcp":
-            made.stream = tcp
+            made.stream, made.other = made.other, made.stream
         yield made
 
 
@@ -58,24 +57,6 @@ def test_the_loop_knows_which_topics_somebody_wants(stand: Stand) -> None:
     stand.until(lambda: not (wants(topics.TAXELS) or wants(topics.PARTICLES)))
     assert wants(topics.COUNTS)
     third.close()
-
-
-def test_all_topics_are_wanted_while_subscriptions_wait(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(streams, "EVENTS_PER_LOOK", 1)
-    with Sockets() as sockets:
-        made = streams.Streams(sockets.context, QUEUE)
-        sockets.keep(made.socket).bind(f"ipc://{tmp_path}/x")
-        flood = sockets.open(zmq.XSUB)
-        flood.connect(f"ipc://{tmp_path}/x")
-        for number in range(100):
-            flood.send(b"\x01/other/%d" % number)
-        flood.send(b"\x01" + topics.TAXELS)
-        for wanted in (set(topics.TOPICS), {topics.TAXELS}):
-            while made.wanted != wanted:
-                assert made.socket.poll(10_000), "all are taken"
-                made.poll(0.0)
 
 
 @pytest.mark.parametrize("end", [b"\x00", b""])
@@ -122,6 +103,28 @@ def test_who_sends_too_large_a_frame_is_hung_up_on(tmp_path: Path, kind: int) ->
         client.send(b"\x01" + b"x" * 1024)
         assert events.poll(10_000), "nobody was disconnected"
         assert not server.poll(0)
+
+
+@pytest.mark.parametrize(
+    ("attack", "copies", "estimates"),
+    [
+        ("subscribe_and_leave", 1, 100),
+        pytest.param("subscribe_and_leave", 3, 600, marks=pytest.mark.check),
+        pytest.param("endless_to_stream", 7, 600, marks=pytest.mark.check),
+        pytest.param("unique_subscriptions", 3, 600, marks=pytest.mark.check),
+    ],
+)
+def test_a_flood_costs_those_who_come_by_the_other_door_no_estimate(
+    stand: Stand, attack: str, copies: int, estimates: int
+) -> None:
+    honest = stand.listener(topics.ESTIMATE)
+    first = seq(stand.received(honest))
+    with contextlib.ExitStack() as flood:
+        for _ in range(copies):
+            flood.enter_context(attacked(attack, stand.other))
+        heard = [seq(stand.received(honest)) for _ in range(estimates)]
+    assert heard == list(range(first + 1, first + 1 + estimates))
+    stand.received(stand.listener(topics.ESTIMATE, endpoint=stand.other))
 
 
 MOST_BYTES = 160 << 20

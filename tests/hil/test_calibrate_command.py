@@ -117,7 +117,7 @@ class PlayedInputs:
         if isinstance(record.item, Frame):
             self._recorder.take(record.item)
             return self._source.take(record)
-        self._link._on_pose(*record.item, 0)
+        self._link._on_pose(*record.item, record.t, 0)
         return []
 
     def close(self) -> None:

@@ -238,7 +238,7 @@ class SimulatedDoor:
             self._say(Kind.WANTED, list(TOPICS[:5]))
             self._say(Kind.READY)
         for pose in poses:
-            self._say(Kind.POSES, [[pose]], False)
+            self._say(Kind.POSES, [[pose]], False, world.unix())
         for name in ("reset", "tare"):
             if world.once(name):
                 self._say(Kind.CHANGE, 1, name, {})
@@ -246,7 +246,7 @@ class SimulatedDoor:
             self._next_report_s = world.now + 1.0
             self._say(Kind.REPORT, asdict(Report()))
         for _ in range(400 * world.on("door floods")):
-            self._say(Kind.POSES, [[]], False)
+            self._say(Kind.POSES, [[]], False, world.unix())
 
     def _listen(self) -> None:
         slow = self._world.on("door slow")
@@ -257,7 +257,7 @@ class SimulatedDoor:
             while (packet := pair.receive(self._end)) is not None:
                 self.got.append(packet)
                 if packet[0] == Kind.ASK:
-                    self._say(Kind.POSES, [[]], True)
+                    self._say(Kind.POSES, [[]], True, self._world.unix())
                 if slow:
                     return
         except (EOFError, ConnectionError):

@@ -59,7 +59,7 @@ class Recording:
         """
         config, recorder = self.config, self._recorder
         tracks = [PoseTrack(on_pose) for on_pose in recorder.on_poses]
-        link = Link({}, lambda *pose: tracks[pose[4]].add(*pose[:4], time.time()), {})
+        link = Link({}, lambda *pose: tracks[pose[5]].add(*pose[:5]), {})
         skins = [layouts.load(one.skin.layout) for one in config.each]
         with recorder, closing(Inputs(config, skins, link, recorder)) as inputs:
             while not ends() and not self.failed:

@@ -4,7 +4,7 @@ import contextlib
 import errno
 import os
 import socket as kernel
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,10 @@ class NotNowError(SetupError):
 
 
 @contextlib.contextmanager
-def bound(socket: zmq.Socket[Any], endpoint: str, key: str) -> Iterator[None]:
-    """Meanwhile `socket` serves whoever comes to the endpoint, and its socket file, if it has one,
-    is there; `key` names it in the configuration.
+def bound(socket: zmq.Socket[Any], endpoint: str, key: str) -> Iterator[Callable[[], bool]]:
+    """Meanwhile `socket` serves whoever comes to the endpoint; → whether newcomers still can: its
+    socket file, if it has one, may be removed. `key` names it in the configuration. Where the file
+    was removed, the same socket may be bound once more, and keeps its peers.
 
     Raises:
         NotNowError: another process has it, or this machine lacks the TCP address.
@@ -52,11 +53,21 @@ def bound(socket: zmq.Socket[Any], endpoint: str, key: str) -> Iterator[None]:
         ) from None
     finally:
         os.umask(before)
+    made = path and _identity(path)
     try:
-        yield
+        yield lambda: path is None or _identity(path) == made
     finally:
-        if path is not None:
-            path.unlink(missing_ok=True)  # ZeroMQ leaves it
+        if path is not None and _identity(path) == made:
+            path.unlink()  # ZeroMQ leaves it
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Of a socket file; None where there is none. The number of a removed file is given anew."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def _make_way(endpoint: str, path: Path, key: str) -> None:

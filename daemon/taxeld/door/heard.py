@@ -44,6 +44,7 @@ POSE_FRAMES = 3
 POSE_KEYS = ("t", "x", "y", "theta")
 THETA_MAX = 3.0 * math.pi  # beyond it an angle is in degrees; smaller ones cannot be told
 DEGREES = "theta is beyond 1.5 turns: send radians from -pi to pi, not degrees"
+STAMP_S = 1.0  # a pose so often is taken as it comes: the others are found some time afterwards
 DEGREES_S = 30.0  # for so long after such an angle, the smaller ones of this robot are refused too
 
 Pose = tuple[float, float, float, float]
@@ -167,6 +168,7 @@ class Robot(Heard):
         self._links = {topic.encode(): k for k, topic in enumerate(topics)} or {SENSOR_POSE: 0}
         self._came: list[list[Pose]] = [[] for _ in self._links]
         self.topics = list(self._links)
+        self._next_stamp_s = -math.inf
         self._doubted_s = -math.inf  # until then small angles are taken to be in degrees
         super().__init__(context, endpoint, keys if keys and keys.robot else None)
 
@@ -182,6 +184,8 @@ class Robot(Heard):
         super().look(now_s)
         if self.line.connected and not was_connected:  # another publisher, or this one mended
             self._doubted_s = -math.inf
+        if now_s >= self._next_stamp_s:
+            self._next_stamp_s, self.is_awaited = now_s + STAMP_S, True
 
     def _take(self, now_s: float, parts: list[bytes]) -> None:
         link = self._links.get(parts[0])

@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -35,6 +36,9 @@ PACKETS_PER_LOOK = 256
 SILENT_S = 2.0  # without an estimate for so long, the loop hangs
 NOTHING = b"\x80"  # an empty map
 DOMAIN = "taxeld"  # of ZAP: where keys are taken
+AGAIN = "it is tried again each second"
+
+Named = tuple[zmq.Socket[Any], str, str]  # with its endpoint, and their key
 
 
 class Admission:
@@ -86,7 +90,8 @@ class Door:
         self._robot: Robot | None = None
         self._awaited: list[Streams | Control | Robot | Array] | None = None  # as the poller has
         self._poller = zmq.Poller()
-        self._unbound: list[tuple[zmq.Socket[Any], str, str]] = []  # are tried again
+        self._served: dict[Named, Callable[[], bool]] = {}  # whether newcomers can come
+        self._unbound: list[Named] = []  # are tried again
 
     def open(self) -> None:
         """Open all sockets.
@@ -144,12 +149,15 @@ class Door:
             self._admission.guard(socket)
         endpoints.make_directory(endpoint)
         try:
-            self._bound.enter_context(bound(socket, endpoint, key))
+            self._bind(socket, endpoint, key)
         except NotNowError as error:
             if not endpoint.startswith(endpoints.TCP):
                 raise
-            self._log(logging.WARNING, f"{error}; it is tried again each second")
+            self._log(logging.WARNING, f"{error}; {AGAIN}")
             self._unbound.append((socket, endpoint, key))
+
+    def _bind(self, *named: *Named) -> None:
+        self._served[named] = self._bound.enter_context(bound(*named))
 
     def _pass(self) -> None:
         # requests wait for the loop's first estimate
@@ -193,10 +201,15 @@ class Door:
             pair.send(self._end, Kind.REPORT, asdict(self._report))
 
     def _bind_again(self) -> None:
+        removed = [named for named, serves in self._served.items() if not serves()]
+        for named in removed:
+            del self._served[named]
+            self._log(logging.WARNING, f"{named[2]}: {named[1]} was removed; {AGAIN}")
+        self._unbound += removed
         for waiting in tuple(self._unbound):
             _, endpoint, key = waiting
             with contextlib.suppress(SetupError):
-                self._bound.enter_context(bound(*waiting))
+                self._bind(*waiting)
                 self._unbound.remove(waiting)
                 self._log(logging.INFO, f"{key}: {endpoint} is bound")
 
@@ -236,7 +249,7 @@ class Door:
         pair.send(self._end, Kind.LOG, level, pair.printable(line))
 
     def _on_poses(self, poses: list[list[Pose]], is_answer: bool) -> None:
-        pair.send(self._end, Kind.POSES, poses, is_answer)
+        pair.send(self._end, Kind.POSES, poses, is_answer, time.time())
 
     def _on_array(self, frame: ArrayFrame) -> None:
         if self._robot is not None:  # a scan is placed by the poses before it

@@ -2,7 +2,7 @@
 
 import resource
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 REFUSED = 2  # exit status of a door that cannot serve
 OOM_SCORE = 1000  # where memory is short, the door goes first, however little it has
@@ -40,6 +40,14 @@ class Settings:
         """Whether there is anything to serve or to hear, or keys that must be looked at."""
         named = (*self.publish, *self.relay_publish, self.control, self.relay_control)
         return any((*named, self.robot, self.array, self.keys))
+
+    @property
+    def doors(self) -> "tuple[Settings, Settings]":
+        """Of two doors: peers over TCP have the second to themselves, so that nothing that they do
+        costs the robot, or who comes by a socket file, anything."""
+        here = replace(self, relay_publish=(), relay_control="")
+        keys = self.keys if self.relay_publish or self.relay_control else ""
+        return here, replace(self, publish=(), control="", robot="", array="", keys=keys)
 
 
 def limit() -> None:

@@ -3,13 +3,14 @@
 A message that a subscriber does not fetch in time is lost for that subscriber alone.
 """
 
+import contextlib
 import math
 from collections.abc import Sequence, Set
 from typing import Any
 
 import zmq
 
-from taxeld.stream.sockets import MORE, NOBLOCK, is_waiting, open_socket
+from taxeld.stream.sockets import MORE, NOBLOCK, open_socket
 from taxeld.stream.topics import INFO, TOPICS
 
 BEGIN, END = b"\x01", b"\x00"  # the byte before a prefix of topics
@@ -33,23 +34,18 @@ class Streams:
         self.socket.setsockopt(zmq.SNDBUF, SEND_BYTES)
         self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)  # else further subscribers go unnoticed
         self._prefixes = set[bytes]()  # of topics that somebody hears
-        self._is_behind = False  # whether subscriptions wait that were not taken
         self._greets = False
         self._next_info_s = -math.inf
 
     @property
     def wanted(self) -> Set[bytes]:
-        """Topics that somebody has subscribed to, or may have: all, while subscriptions wait."""
-        if self._is_behind:
-            return frozenset(TOPICS)
+        """Topics that somebody has subscribed to."""
         return {topic for topic in TOPICS if topic.startswith(tuple(self._prefixes))}
 
     def poll(self, now_s: float) -> None:  # noqa: ARG002
-        for _ in range(EVENTS_PER_LOOK):
-            if not is_waiting(self.socket):
-                break
-            self._take(self.socket.recv(NOBLOCK, copy=False))
-        self._is_behind = is_waiting(self.socket)
+        with contextlib.suppress(zmq.Again):  # none is left
+            for _ in range(EVENTS_PER_LOOK):
+                self._take(self.socket.recv(NOBLOCK, copy=False))
 
     def greet(self, now_s: float, info: Sequence[bytes]) -> None:
         """Send `/taxeld/info` where a newcomer has asked for it and `info` is not empty; `now_s` is

@@ -47,7 +47,6 @@ class PoseTrack:
         self.extrapolate_s = extrapolate_s
         self.taken = 0
         self.rejected = 0  # not finite, not later than the one before, far, or in the future
-        self.far = 0  # beyond FAR_M
         self._on_pose, self._mount = on_pose, mount
         self._lever_m = reach_m + (0.0 if mount is None else math.hypot(*mount[:2]))
         self._back, self._back_t = 0, math.inf  # poses in a row that went back, and the last time
@@ -66,9 +65,8 @@ class PoseTrack:
         back."""
         # one from the future would keep out all poses before its time; a sum is finite if each is
         is_fit = math.isfinite(t + x + y + theta) and t <= now + FUTURE_S
-        is_far = is_fit and not (-FAR_M <= x <= FAR_M and -FAR_M <= y <= FAR_M)
-        self.far += is_far
-        if not is_fit or is_far or not (t > self.latest_t or self._is_set_back(t)):
+        is_near = max(abs(x), abs(y)) <= FAR_M
+        if not (is_fit and is_near) or not (t > self.latest_t or self._is_set_back(t)):
             self.rejected += 1
             return
         self._back = 0

@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 
 
 class Doorkeeper:
-    """The doors of one daemon, one after another."""
+    """One door of a daemon after another."""
 
     def __init__(self, settings: Settings) -> None:
         self.starts = 0
@@ -147,11 +147,11 @@ class Doorkeeper:
         return process
 
 
-def settings_of(config: Config) -> Settings:
-    """What a configuration asks of the door."""
+def settings_of(config: Config) -> tuple[Settings, Settings]:
+    """What a configuration asks of its two doors (`Settings.doors`)."""
     scans_hz = 1000.0 / config.source.period_ms
     messages_hz = 2.0 * scans_hz + max(config.publish.rate_hz, scans_hz)
-    return replace(
+    asked = replace(
         poses_alone(config),
         publish=config.publish.endpoints,
         control=config.control.endpoint,
@@ -162,6 +162,7 @@ def settings_of(config: Config) -> Settings:
         relay_change=config.relay.change,
         estimates=bool(config.scene.names),
     )
+    return asked.doors
 
 
 def poses_alone(config: Config) -> Settings:

@@ -174,7 +174,7 @@ class Store:
         if self._estimator is None or not link.is_ready or now_s < self._next_memory_s:
             return
         scans, changes = self._estimator.scans.all, self._estimator.scans.added
-        key = link.end, changes, self._estimator.counters.updates
+        key = link.ready, changes, self._estimator.counters.updates
         if key == self._handed or self._pipeline.is_touched or self._writer.is_busy:
             return
         touches = [scan for scan in scans if scan.is_contact]

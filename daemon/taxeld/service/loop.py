@@ -14,6 +14,7 @@ from dataclasses import asdict
 from typing import Any
 
 from taxeld.config.tables import Config
+from taxeld.pipeline.poses import FAR_M
 from taxeld.prior import PosePrior
 from taxeld.proposals import bundle
 from taxeld.service import realtime
@@ -51,9 +52,9 @@ class Daemon:
             SetupError: a part of it cannot be used.
         """
         with contextlib.ExitStack() as opened:
-            # the door's process starts while the slow parts here load
-            door = Doorkeeper(settings_of(config))
-            self.door = opened.enter_context(contextlib.closing(door))
+            # the doors' processes start while the slow parts here load
+            keepers = [contextlib.closing(Doorkeeper(each)) for each in settings_of(config)]
+            self.doors = [opened.enter_context(each) for each in keepers]
             on_poses = recorder.on_poses if recorder else []
             made = prepared(config, time.time(), time.perf_counter_ns, on_poses)
             self.config, self.layouts, self.pipeline = made.config, made.layouts, made.pipeline
@@ -66,14 +67,16 @@ class Daemon:
             self._next_look_s, self._source_ns = 0.0, 0  # CPU time of taking the last scans
             self.kept = Store(self.config, self.pipeline)
             changes = {"tare": self.pipeline.tare, "reset": self._reset, "prior": self._prior}
-            self.link = Link(self._info(), self.on_pose, changes)
+            info = self._info()
+            self.link = Link(info, self.on_pose, changes, Link(info, self.on_pose, changes))
             opened.callback(self.kept.close)
             if recorder:
                 opened.enter_context(recorder)
-            self.inputs = Inputs(self.config, self.layouts, self.link, recorder, self.door)
+            self.inputs = Inputs(self.config, self.layouts, self.link, recorder, self.doors[0])
             opened.enter_context(contextlib.closing(self.inputs))
             self.publisher = Publisher(made, self.inputs, self.link, self.counters)
-            self.door.wait(self.link)
+            for door, link in zip(self.doors, self.link.doors, strict=True):
+                door.wait(link)
             self._opened = opened.pop_all()
 
     def _info(self) -> dict[str, object]:
@@ -191,7 +194,8 @@ class Daemon:
 
     def _look(self, now_s: float) -> None:
         self._next_look_s = now_s + LOOK_S
-        self.door.look(now_s)
+        for door in self.doors:
+            door.look(now_s)
 
     def _judge_touch(self, took_ns: int) -> None:
         """Have fewer samples drawn where touches take more CPU time than there is between scans."""
@@ -204,13 +208,13 @@ class Daemon:
                 limit_ns / 1e6,
             )
 
-    def on_pose(self, t: float, x: float, y: float, theta: float, link: int = 0) -> None:
-        """A pose of a link's sensor has come."""
-        now, poses = time.time(), self.pipeline.stages[link].poses
-        far = poses.far
-        poses.add(t, x, y, theta, now)
+    def on_pose(
+        self, t: float, x: float, y: float, theta: float, came: float, link: int = 0
+    ) -> None:
+        """A pose of a link's sensor, which came at that Unix time."""
+        self.pipeline.stages[link].poses.add(t, x, y, theta, came)
         if not link:
-            self.inputs.watch.add(t, now, is_far=poses.far > far)
+            self.inputs.watch.add(t, came, is_far=max(abs(x), abs(y)) > FAR_M)
 
     def health(self, now_s: float, t: float) -> dict[str, Any]:
         """`/taxeld/health` from all parts of the daemon; `now_s` is monotonic, t Unix time. The
@@ -239,11 +243,8 @@ class Daemon:
             },
             "calibration": {"age_s": t - calibration.t if calibration else -1.0},
             "door": {
-                "starts": self.door.starts,
-                "unsent": link.unsent,
-                "failed": link.failed,
-                "keys_refused": report.keys_refused,
-                "unbound": report.unbound,
+                "starts": sum(door.starts for door in self.doors),
+                **link.counts,
             },
             "recording": {"dropped": written.dropped, "failed": written.failed},
             **counted,

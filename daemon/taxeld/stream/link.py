@@ -1,4 +1,4 @@
-"""The loop's end of the pair: messages go out, and what the door says is done.
+"""The loop's end of a pair: messages go out, and what the door says is done.
 
 The door is ours, so its packets are trusted for their form. How many are taken at once is bounded,
 as peers have a part in them; those that the pair has no room for are lost in the door.
@@ -25,7 +25,7 @@ START_S = 30.0  # the same while a door starts: a busy machine takes seconds for
 LOOK_MOST_S = 0.5  # silence counted for one look: the loop itself may have been stopped
 log = logging.getLogger(__name__)
 
-OnPose = Callable[[float, float, float, float, int], None]
+OnPose = Callable[[float, float, float, float, float, int], None]
 OnArray = Callable[[ArrayFrame], None]
 Handler = Callable[..., str | None]  # → why it was not done
 
@@ -54,10 +54,16 @@ class Link:
     """Messages to whoever is the door now; poses, changes and reports from it."""
 
     def __init__(
-        self, info: Mapping[str, Any], on_pose: OnPose, handlers: Mapping[str, Handler]
+        self,
+        info: Mapping[str, Any],
+        on_pose: OnPose,
+        handlers: Mapping[str, Handler],
+        relay: "Link | None" = None,
     ) -> None:
-        """`info`: the map of `/taxeld/info`; `on_pose` is given each pose (t, x, y, θ) and the
-        number of its link; `handlers` do what clients may change, by command."""
+        """`info`: the map of `/taxeld/info`; `on_pose` is given each pose (t, x, y, θ), the Unix
+        time at which it came and the number of its link; `handlers` do what clients may change, by
+        command; `relay`: to the door of peers over TCP, which gets all that this one gets."""
+        self.doors = (self,) if relay is None else (self, relay)
         self.unsent = 0  # messages that the door did not take in time, since the loop's start
         self.failed = 0  # packets and changes that raised an exception, since the loop's start
         self.report = Report()
@@ -79,6 +85,21 @@ class Link:
         """Whether the door speaks: it reports once a second."""
         return self._silent_s < HEARD_S
 
+    @property
+    def ready(self) -> list[socket.socket | None]:
+        """Of each door that is ready, the loop's end."""
+        return [each.end for each in self.doors if each.is_ready]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What is counted of all doors."""
+        return {
+            "unsent": sum(each.unsent for each in self.doors),
+            "failed": sum(each.failed for each in self.doors),
+            "keys_refused": sum(each.report.keys_refused for each in self.doors),
+            "unbound": sum(each.report.unbound for each in self.doors),
+        }
+
     def attach(self, end: socket.socket, now_s: float) -> None:
         """A new door; `now_s` is monotonic."""
         self.detach()
@@ -96,24 +117,21 @@ class Link:
 
     def wants(self, topic: bytes) -> bool:
         """Whether somebody has subscribed to the topic."""
-        return topic in self._wanted
+        return any(topic in each._wanted for each in self.doors)
 
     def send(self, topic: bytes, message: Mapping[str, Any], t: float) -> None:
         """A message of Unix time t; lost, and counted, where a door that is ready does not take it
         now."""
-        if self.is_ready:
-            self._give(Kind.MESSAGE, topic, t, self._pack(message))
+        self._tell(Kind.MESSAGE, topic, t, self._pack(message))
 
     def tell(self, state: Mapping[str, Any]) -> None:
         """The part of the answer to `status` that no message has."""
-        if self.is_ready:
-            self._give(Kind.STATE, state)
+        self._tell(Kind.STATE, state)
 
     def remember(self, scans: int) -> None:
         """The scans that the belief has learned from, an open file of numpy's, for clients that
         learn them as well."""
-        if self.is_ready:
-            self._give(Kind.MEMORY, file=scans)
+        self._tell(Kind.MEMORY, file=scans)
 
     def ask_poses(self, *, also_next: bool) -> None:
         """Have the door pass on the robot's poses that have come, and, if `also_next`, the next
@@ -152,11 +170,11 @@ class Link:
 
     def _take(self, kind: int, values: list[Any]) -> None:
         match kind, values:
-            case Kind.POSES, [each, is_answer]:
+            case Kind.POSES, [each, is_answer, came]:
                 self.is_asking &= not is_answer
                 for link, poses in enumerate(each):
                     for t, x, y, theta in poses:
-                        self._on_pose(t, x, y, theta, link)
+                        self._on_pose(t, x, y, theta, came, link)
             case Kind.ARRAY, [t, name, rest, counts]:
                 self.on_array(ArrayFrame(t, name, rest, tuple(counts)))
             case Kind.WANTED, [topics]:
@@ -189,6 +207,12 @@ class Link:
         at = traceback.extract_tb(error.__traceback__)[-1]
         kind = type(error).__name__
         log.error("%s: failed at %s:%s (%s: %s)", what, at.filename, at.lineno, kind, error)
+
+    def _tell(self, kind: Kind, *values: object, file: int | None = None) -> None:
+        """To each door that is ready."""
+        for each in self.doors:
+            if each.is_ready:
+                each._give(kind, *values, file=file)
 
     def _give(self, kind: Kind, *values: object, file: int | None = None) -> None:
         if self.end is None:

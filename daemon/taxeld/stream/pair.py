@@ -1,4 +1,4 @@
-"""The packets between the loop and the door, on one SOCK_SEQPACKET pair.
+"""The packets between the loop and a door, on one SOCK_SEQPACKET pair.
 
 A packet is one msgpack array: its kind, and its values. To the door:
 
@@ -13,7 +13,8 @@ To the loop:
     READY    the door serves
     FAULT    a line: an endpoint or a key cannot be used, and the door ends
     WANTED   the topics that somebody has subscribed to
-    POSES    each link's sensor's poses [t, x, y, theta]; whether they answer ASK
+    POSES    each link's sensor's poses [t, x, y, theta]; whether they answer ASK; Unix time at
+             which they came
     CHANGE   number of the request, its command, and a map of its arguments
     ARRAY    t, id, counts at rest, counts
     REPORT   map: what the door counts, once a second
