@@ -7,7 +7,6 @@ import shutil
 import sys
 import tempfile
 import textwrap
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -17,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 from taxeld import command_line
 from taxeld.command_line import Arguments, Run, flag, given, natural
 from taxeld.config import endpoints
-from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld_hil import jobs
 from taxeld_hil.scenario.mesh_config import FOAMS
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
     from taxeld_hil.jobs import Job
     from taxeld_hil.scenario.scenario import Scenario
 
-FULL_SCALE_COUNTS = SkinConfig().full_scale_counts
 MATRIX_OBJECTS, MATRIX_FOAMS = ("box", "mug"), ("scene", "typical", "poor")
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parent / "scenarios").glob("*.toml"))
 
@@ -98,24 +95,19 @@ def _command(program: str, *words: object) -> str:
 
 
 def _accept(args: argparse.Namespace) -> int:
-    """Check a real skin before it is used; no object is needed.
+    """Judge a real skin by a recording: at rest at first, then with each module pressed.
 
-    taxeld-hil accept can:can0 --layout skin.json
-    taxeld-hil accept slcan:/dev/ttyACM0 --layout skin.json --press
+    taxeld-hil accept session
+    taxeld-hil accept session --layout skin.json
     """
-    from taxeld_hil.acceptance.accept import run
+    from taxeld_hil import rules
+    from taxeld_hil.acceptance.accept import of_session
 
-    passed = run(
-        args.target,
-        args.layout,
-        args.out or Path(time.strftime("acceptance-%Y%m%d-%H%M%S")),
-        _say,
-        seconds=args.seconds,
-        period_ms=args.period_ms,
-        full_scale_counts=args.full_scale_counts,
-        presses=args.press,
-    )
-    return 0 if passed else 1
+    found = of_session(args.session, args.layout)
+    failed = rules.failed(found)
+    _say("\n".join(rules.lines(found)))
+    _say(f"FAILED, {len(failed)} of {len(found)} rules" if failed else "PASSED")
+    return 1 if failed else 0
 
 
 def _expect(args: argparse.Namespace) -> int:
@@ -226,13 +218,8 @@ COMMANDS: dict[Run, Arguments] = {
         given("--truth", "X Y THETA", "the object's true pose [m, m, rad]", float),
     ),
     _accept: (
-        given("target", "TARGET", "can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …"),
-        given("--layout", "LAYOUT", "of this skin, as skin.layout", required=True),
-        given("--out", "DIR", "for the report", Path),
-        given("--seconds", "S", "of listening to an untouched skin (15)", float, default=15.0),
-        flag("--press", "then ask for a press on each module"),
-        given("--period-ms", "MS", "between scans (50)", int, default=50),
-        given("--full-scale-counts", "N", "as in [skin]", float, default=FULL_SCALE_COUNTS),
+        given("session", "SESSION", "what taxeld record wrote", Path),
+        given("--layout", "LAYOUT", "in place of the session's, which lacks its file", default=""),
     ),
     _expect: (
         given("--object", "OBJECT", "a bundle, a YCB id or a mesh file", required=True),
@@ -282,7 +269,7 @@ def _parser() -> argparse.ArgumentParser:
         f"\n\n{textwrap.fill('Scenarios: ' + ', '.join(SCENARIOS), 80)}."
         f"\n\nFoams of the simulated skin: {FOAM_NAMES}.",
         "taxeld-hil run demo",
-        "taxeld-hil accept can:can0 --layout skin.json",
+        "taxeld-hil accept session",
     )
     command_line.add_commands(parser, COMMANDS)
     return parser

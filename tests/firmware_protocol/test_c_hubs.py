@@ -123,7 +123,7 @@ def test_by_its_page_an_own_skin_is_recorded_without_a_wrong_value(
         for uid, at, normal in zip(SKIN.uid, SKIN.position_m, SKIN.normal, strict=True)
     ]
     Path("skin.json").write_text(json.dumps(file), encoding="utf-8")
-    layout, _accept, init, record = (
+    layout, init, record, _accept = (
         shlex.split(line.replace("/dev/ttyACM0", own_skin)) for line in SHOWN["sh"].splitlines()
     )
     assert "80 in 8 modules" in printed(*layout[1:])

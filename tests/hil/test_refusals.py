@@ -7,9 +7,6 @@ import pytest
 
 from taxeld_hil.cli import main
 
-from .accept_skin import LAYOUT
-
-ACCEPT = f"--layout {LAYOUT} --out {{place}}/out"
 NO_FOAM = "no foam 'marble'; there are scene, typical, poor, stiff; a layout is given by --layout\n"
 NO_BUNDLE = "scene.bundle: no bundle 'party'"
 NO_ENDPOINT = "; use ipc:///path or tcp://"
@@ -29,16 +26,7 @@ WRONG = [  # a command line, and words of its line
     (f"{EMULATE} foo", "--poses: 'foo' "),
     (f"{EMULATE} tcp://", NO_ENDPOINT),
     (f"{EMULATE} tcp://127.0.0.1:99999", NO_ENDPOINT),
-    (f"accept slcan:/dev/nothing {ACCEPT}", "plugged in"),
-    (f"accept serial:/dev/nothing {ACCEPT}", "plugged in"),
-    (f"accept serial:/dev/nothing@fast {ACCEPT}", "a line speed, as /dev/nothing@921600"),
-    (f"accept slcan:/dev/nothing@fast {ACCEPT}", "a line speed, as /dev/nothing@115200"),
-    (f"accept no_such:x {ACCEPT}", "python-can knows no 'no_such'; it knows"),
-    (f"accept can0 {ACCEPT}", "use can:can0"),
-    (f"accept slcan:/dev/nothing {ACCEPT} --seconds 1", "--seconds: must be 5..600"),
-    (f"accept slcan:/dev/nothing {ACCEPT} --seconds nan", "--seconds: must be 5..600"),
-    (f"accept slcan:/dev/nothing {ACCEPT} --period-ms 0", "--period-ms: must be 1..65535"),
-    (f"accept slcan:/dev/nothing {ACCEPT} --layout nothing.json", "skin.layout"),
+    ("accept {place}", "{place}: is no session (it has no config.toml)"),
 ]
 
 

@@ -19,9 +19,16 @@ LEAK = 0.04  # share of a module's summed press that its T0 sees
 class SimulatedSkin:
     """One hub. What is added to the taxels and to T0 may be a value or a function of the time."""
 
-    def __init__(self, layout: Layout, seed: int = 0, noise: float = NOISE) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        seed: int = 0,
+        noise: float = NOISE,
+        modules: tuple[Module, ...] = (),
+    ) -> None:
+        """`modules`: of the hub, where they are not the layout's."""
         self.layout = layout
-        self.modules: tuple[Module, ...] = tuple(wired(layout.uid.tolist()))
+        self.modules = modules or tuple(wired(layout.uid.tolist()))
         self.rng = np.random.default_rng(seed)
         self.noise = noise  # sd of a reading [counts],
         self.spread = np.ones(len(layout))  # times this, taxel by taxel

@@ -133,20 +133,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     Raises:
         SetupError: the session cannot be read, or its modules' order is unknown.
     """
-    config, stages = pipeline.config, pipeline.stages
-    for name in config.names[1:]:
-        if (directory / name).is_dir():
-            raise SetupError(
-                f"{directory / name}: links no longer have folders of their own in a session; "
-                "record it anew"
-            )
-    shared = config.buses
-    sources = [
-        RecordedSource(
-            directory, one, {k: stages[k].skin.layout for k in numbers}, alone=len(shared) == 1
-        )
-        for one, numbers in shared
-    ]
+    stages, sources = pipeline.stages, sources_of(directory, pipeline)
     steps, before = 0, 0.0
     # as the daemon does: poses up to the arrival of a scan's last frame are known
     for record in session.records(directory):
@@ -160,6 +147,26 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     yield from pipeline.advance((), math.inf)
 
 
+def sources_of(directory: Path, pipeline: Pipeline) -> "list[RecordedSource]":
+    """The sources of a session, in the order of the configuration's buses.
+
+    Raises:
+        SetupError: the session is of an older version.
+    """
+    config = pipeline.config
+    for name in config.names[1:]:
+        if (directory / name).is_dir():
+            raise SetupError(
+                f"{directory / name}: links no longer have folders of their own in a session; "
+                "record it anew"
+            )
+    skins, shared = [stage.skin.layout for stage in pipeline.stages], config.buses
+    return [
+        RecordedSource(directory, one, {k: skins[k] for k in numbers}, alone=len(shared) == 1)
+        for one, numbers in shared
+    ]
+
+
 class RecordedSource:
     def __init__(
         self, directory: Path, config: SourceConfig, skins: Mapping[int, Layout], *, alone: bool
@@ -170,7 +177,7 @@ class RecordedSource:
 
     def take(self, record: Record) -> list[Scan]:
         """The scans that its record ends; none where the record is another source's."""
-        decoded = self._decoder.take([record.item]) if self._has(record) else ()
+        decoded = self.decoder.take([record.item]) if self._has(record) else ()
         return self._links.of(scan for _, scans in decoded for scan in scans)
 
     def _has(self, record: Record) -> bool:
@@ -180,7 +187,7 @@ class RecordedSource:
         return self._alone or is_array or record.link == self._links.numbers[0]
 
     @cached_property  # a session may have been cut before its first record
-    def _decoder(self) -> Any:
+    def decoder(self) -> Any:
         def items() -> Iterator[Any]:
             return (r.item for r in session.items(self._directory) if self._has(r))
 

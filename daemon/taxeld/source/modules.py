@@ -18,8 +18,8 @@ from taxeld_protocol.modules import Module, listed
 
 FILE = "modules.toml"
 CURE = (
-    f"list them as [SUI, mask] in the order in which the hub sends them: 'taxeld record' and "
-    f"'taxeld-hil accept' write that list ({FILE}) where they start the skin themselves"
+    f"list them as [SUI, mask] in the order in which the hub sends them: 'taxeld record' writes "
+    f"that list ({FILE}) where it starts the skin itself"
 )
 
 

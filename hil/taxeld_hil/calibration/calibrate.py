@@ -225,7 +225,7 @@ def fit_rules(fit: FitResult, presses: Presses, *, given: bool) -> list[Rule]:
     most = f"{1e3 * SEARCHED[0]:.0f} mm and {np.degrees(SEARCHED[2]):.0f}°"
     check = (
         f"no mount within {most} explains the presses: check the bundle, the object's pose, that "
-        "it is held fast, and that no modules are swapped (taxeld-hil accept --press)"
+        "it is held fast, and that no modules are swapped (taxeld-hil accept)"
     )
     turn = np.exp(1j * presses.sensor[:, 2])
     turned = np.degrees(np.sqrt(np.mean(np.angle(turn / turn.mean()) ** 2)))

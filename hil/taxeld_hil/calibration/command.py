@@ -138,8 +138,8 @@ class Guided:
             self._observer.on_outcome(outcome)
         if not self._recording.scans and now_s - self._begun_s > NO_SCANS_S:
             raise SetupError(
-                f"source.channel: no scan came within {NO_SCANS_S:.0f} s; check the skin "
-                "(taxeld-hil accept)"
+                f"source.channel: no scan came within {NO_SCANS_S:.0f} s; check the hub's power, "
+                "and what is logged above"
             )
         if now_s >= self._next_look_s:
             self._next_look_s, before = now_s + LOOK_S, self._line
