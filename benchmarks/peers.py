@@ -23,7 +23,7 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.memory import Memory, ObjectSkin
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.paper import Paper
-from taxeld.estimator.scans import ScanList
+from taxeld.estimator.scans import Reader
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
@@ -44,7 +44,7 @@ class PeerScans:
         rng = np.random.default_rng(0)
         self.model, self.noise = model, Noise()
         self.nothing = Memory(ObjectSkin.of(model, self.noise))
-        self.list = ScanList(model.links, self.noise)
+        self.reader = Reader(model.links, self.noise)
         made = contacts.synthesise(model.scene, 0.04, 0.005, 4 * SCANS, rng).pose
         made = made[model.activation(made).max(axis=1) > 0.1][:SCANS]
         live = np.ones(len(model.layout), dtype=np.bool_)
@@ -55,7 +55,7 @@ class PeerScans:
 
     def log_likelihood(self, k: int, poses: np.ndarray) -> np.ndarray:
         """Log likelihood (N,) of poses (N, 3) for scan `k`, as for a new scan."""
-        memory = self.nothing.plus(self.list.add(self.observations[k % SCANS]))
+        memory = self.nothing.plus(self.reader.read(self.observations[k % SCANS]))
         return memory.explain(poses)[:, 0]
 
     def rule(self, n: int, kind: type[Mixture]) -> Mixture:
@@ -68,7 +68,7 @@ class PeerScans:
         rule.belief = pf.equal(start.copy(), np.empty((n, 0)))
         if kind is Mixture:
             for number, observation in enumerate(self.observations[:TOUCHES], 1):
-                rule.memory = rule.memory.plus(self.list.add(observation, number))
+                rule.memory = rule.memory.plus(self.reader.read(observation, number))
             rule.belief.remembered = rule.memory.explain(start)
         return rule
 
@@ -136,7 +136,7 @@ def measure(scans: PeerScans, n: int) -> dict[str, float]:
         at[0], seen = k, scans.observations[k % SCANS]
         for name, kind in (("taxeld", Paper), ("taxeld, 8 touches remembered", Mixture)):
             fresh = [scans.rule(n, kind) for _ in range(steps)]
-            timed(name, fresh, lambda rule: rule.take(scans.list.add(seen, TOUCHES + 1)))  # noqa: B023
+            timed(name, fresh, lambda rule: rule.take(scans.reader.read(seen, TOUCHES + 1)))  # noqa: B023
         timed("particles", [smc] * steps, next)
         timed("pfilter", [peer] * steps, lambda one: one.update(np.zeros(3)))
     return {name: float(np.median(each[1:])) for name, each in spent.items()}

@@ -17,6 +17,7 @@ from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.bundle import Bundle
 from taxeld.stream import client
 from tests.rig.commands import printed, refused
+from tests.rig.memories import remembered
 
 from .test_loop import settings
 from .test_pipeline import CAN, CONFIG, ROBOT, TRUTH, pipeline_of, story, taken
@@ -55,7 +56,7 @@ def config(tmp_path: Path) -> Path:
 def test_it_advises_by_what_the_daemon_has_felt(
     felt: Pipeline, answer: Answer, config: Path
 ) -> None:
-    answer(answered(felt.estimator.memory))
+    answer(answered(remembered(felt.estimator)))
     said = printed("advise", config).splitlines()
     assert said[0] == "after 1 contacts, best first:"
     assert said[1].startswith("1. from x ")
@@ -73,9 +74,9 @@ def test_approaches_are_told_in_the_poses_that_the_robot_sends(
     felt: Pipeline, config: Path
 ) -> None:
     adviser, mount = advise.Adviser(load(config)), np.array([0.003, -0.002, 0.1])
-    own = adviser.advise(felt.estimator.memory).approaches[0]
+    own = adviser.advise(remembered(felt.estimator)).approaches[0]
     adviser._mounts = [mount]
-    robot = adviser.advise(felt.estimator.memory).approaches[0]
+    robot = adviser.advise(remembered(felt.estimator)).approaches[0]
     assert se2.compose(robot.at, mount) == pytest.approx(own.at)
 
 
@@ -86,7 +87,7 @@ def test_where_there_is_no_advice_it_says_why(
     assert "no daemon answers" in refused("advise", config, status=1)
     answer({"ok": False, "error": "nothing was felt yet: touch the object first"})
     assert "nothing was felt yet" in refused("advise", config, status=1)
-    answer(answered(felt.estimator.memory | {"digest": np.array("other")}))
+    answer(answered(remembered(felt.estimator) | {"digest": np.array("other")}))
     assert "the daemon has another scene" in refused("advise", config)
     assert refused("advise", config, "--reach", 1, 0, 0, 1).startswith("reach: (1.0, 0.0, ")
     bare = tmp_path / "bare.toml"
@@ -99,13 +100,13 @@ def test_following_tells_again_only_once_more_was_felt(
     felt: Pipeline, answer: Answer, config: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(advise, "LOOK_S", 0.0)
-    memory, looks = felt.estimator.memory, iter(range(6))
+    memory, looks = remembered(felt.estimator), iter(range(6))
     answer(answered(memory))
 
     def stopping() -> bool:
         look = next(looks)
         if look == 3:
-            answer(answered(memory | {"changes": memory["changes"] + 1}))
+            answer(answered(memory | {"number": memory["number"] + 1}))
         return look == 5
 
     assert len(list(advise.follow(load(config), None, stopping))) == 2

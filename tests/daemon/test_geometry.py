@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxeld.estimator.scans import ScanList
+from taxeld.estimator.scans import Reader
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.noise import FLOOR, Noise
@@ -79,7 +79,7 @@ def test_silences_of_other_taxels_or_floors_tell_other_things(box_model: Observa
     rng = np.random.default_rng(0)
     poses = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 100, rng).pose
     taxels, nothing = len(box_model.layout), memory_of(box_model, Noise())
-    scans = ScanList(box_model.links, Noise())
+    reader = Reader(box_model.links, Noise())
     all_live, half = np.ones(taxels, dtype=bool), np.arange(taxels) % 2 == 0
     for live, floor, residue in (
         (all_live, 0.02, 0.0),
@@ -90,7 +90,7 @@ def test_silences_of_other_taxels_or_floors_tell_other_things(box_model: Observa
         (all_live, 0.02, 0.0),
     ):
         silence = Observation(np.zeros(3), np.zeros(taxels), live, floor, residue)
-        one, alone = nothing.plus(scans.add(silence)), plus(nothing, silence)
+        one, alone = nothing.plus(reader.read(silence)), plus(nothing, silence)
         assert np.array_equal(one.explain(poses), alone.explain(poses))
         assert one.anything[0] == alone.anything[0]
 

@@ -35,7 +35,8 @@ from taxeld.stream import pair
 from taxeld.stream.link import Link
 from taxeld.stream.pair import Kind
 from tests.rig.clocks import until
-from tests.rig.pressed_box import TRUTH, World, estimator
+from tests.rig.memories import remembered
+from tests.rig.pressed_box import TRUTH, World, box_side, estimator
 from tests.rig.simulated_skin import SimulatedSkin
 
 DAY_S = 86_400.0
@@ -119,6 +120,29 @@ def test_a_restarted_skin_and_belief_know_what_they_knew_unless_the_object_was_m
     assert waits.hypotheses.moved == pytest.approx(MOVED, abs=0.01)
     world.truth = se2.compose(TRUTH, moved)
     assert near(world.find(after.estimator), world.truth)
+
+
+def test_a_restart_learns_the_silences_that_the_belief_remembers_however_many_came_since(
+    begin: Begin,
+) -> None:
+    run = begin()
+    world, model = World(run.estimator.model), run.estimator.model
+    for angle in (0.2, 1.55):
+        world.press(run.estimator, angle)
+    for k in range(12):
+        world.feel(run.estimator, box_side(model, 0.5 * k, -0.005))
+    for k in range(40):  # where nothing was expected
+        world.feel(run.estimator, np.array([0.25 + 0.006 * k, 0.2, 0.0]))
+    world.press(run.estimator, 2.9)
+    silent = [scan for scan in run.estimator.rule.memory.scans if not scan.is_contact]
+    before_touch = [scan.observation.sensor for scan in silent if scan.number < 3]
+    assert len(before_touch) > 3
+    run.end()
+    again = begin()
+    found, is_silent = stored(again), ~stored(again)["belief.z"].any(axis=1)
+    assert found["belief.sensor"][is_silent] == pytest.approx(np.array(before_touch))
+    again.store.restore_belief()
+    assert sum(not scan.is_contact for scan in again.estimator.rule.memory.scans) > 3
 
 
 def test_scans_with_and_without_noise_of_links_of_two_sizes_come_back() -> None:
@@ -362,7 +386,7 @@ def test_each_door_is_handed_what_was_felt_out_of_contact_and_at_most_once_a_sec
         )
         assert kind == Kind.MEMORY
         with np.load(io.BytesIO(scans)) as handed:
-            told = run.estimator.memory
+            told = remembered(run.estimator)
             assert handed.keys() == told.keys()
             assert all(handed[name].tobytes() == told[name].tobytes() for name in told)
         door.close()

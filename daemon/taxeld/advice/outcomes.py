@@ -114,9 +114,9 @@ def _apart(estimator: Estimator, of: Guesses) -> Grid:
 
 
 def _like(estimator: Estimator, link: int) -> Observation:
-    """A silent scan of a link: its last one, or else what its skin is known for."""
-    for scan in reversed(estimator.scans.all):
-        if scan.observation.link == link and not scan.is_contact:
+    """A scan of a link: its last one that is remembered, or else what its skin is known for."""
+    for scan in reversed(estimator.scans):
+        if scan.observation.link == link:
             return scan.observation
     taxels = len(estimator.model.links[link].layout)
     return Observation(se2.IDENTITY, np.zeros(taxels), np.ones(taxels, np.bool_), link=link)

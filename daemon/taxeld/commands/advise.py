@@ -84,11 +84,12 @@ def advise(config: Config, reach: Reach | None = None) -> Advice:
 def follow(config: Config, reach: Reach | None, stopping: Callable[[], bool]) -> Iterator[Advice]:
     """Advice now, and each time that the daemon has felt more, until `stopping`. Raises
     SetupError, as `advise`."""
-    adviser, before = Adviser(config, reach), None
+    adviser, before = Adviser(config, reach), dict[str, bytes]()
     while not stopping():
         memory = remembered(config.control.endpoint)
-        if memory["changes"].tolist() != before:
-            before = memory["changes"].tolist()
+        now = {name: values.tobytes() for name, values in memory.items()}
+        if now != before:
+            before = now
             yield adviser.advise(memory)
         time.sleep(LOOK_S)
 

@@ -1,8 +1,8 @@
 """The estimator: activations and sensor poses in, estimates out. No clock, no socket, no file.
 
-It takes the usable part of a scan and picks the scans to learn from (`news`), remembers them
-(`scans`), and has the belief in each known object learn from them (`bank`), which also says how
-sure it is. docs/estimator.md is the model behind these.
+It takes the usable part of a scan, picks the scans to learn from (`news`), reads them (`scans`),
+and has the belief in each known object learn from them (`bank`), which also says how sure it is.
+docs/estimator.md is the model behind these.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ from taxeld.estimator.estimate import Estimate, ProposalKind, Status, status
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import EstimatorCounters, Intake, News
 from taxeld.estimator.paper import Paper
-from taxeld.estimator.scans import VERSION, Arrays, ScanList, Used, noise_of, scan_arrays
+from taxeld.estimator.scans import VERSION, Reader, ScanEvidence, Used, noise_of
 from taxeld.model import se2
 from taxeld.model.contacts import Proposal
 from taxeld.model.observation import Activation, Lesson, Observation, ObservationModel
@@ -65,7 +65,7 @@ class Estimator:
             # the largest object is not where the skin met nothing
             first=int(np.argmax([known.model.scene.size for known in self.known])),
         )
-        self.scans = ScanList(links, noise_of(config))
+        self._reader = Reader(links, noise_of(config))
         self._kind = ProposalKind.NONE  # proposal of the last samples
         self._intakes = [Intake(each, self.counters, k) for k, each in enumerate(links)]
         self._news = [News(each.layout.radius_m) for each in links]
@@ -75,18 +75,15 @@ class Estimator:
         self._before: list[Observation | None] = [None] * len(links)
         self._blind = False  # no live taxel would feel it, until a usable scan tells more
         self.used: Observation | None = None  # the scan that the last call learned from
-        # the last scan, until `think`, if it told nothing
-        self.unconsidered: Observation | None = None
+        self._newest: Observation | None = None  # the last usable scan
+        self._is_unconsidered = False  # whether the last scan told nothing, until `think`
         self.estimate = self._estimate(0.0)
 
     @property
-    def memory(self) -> Arrays:
-        """All that another estimator needs to learn the same: the scans, whose they are, and counts
-        that differ once there is more."""
-        return scan_arrays(self.scans.all) | {
-            "digest": np.array(self.digest),
-            "changes": np.array([self.scans.added, self.counters.updates]),
-        }
+    def scans(self) -> Sequence[ScanEvidence]:
+        """What the belief remembers, to be learned by another estimator; never changed: each scan
+        makes another one."""
+        return self.rule.memory.scans
 
     @cached_property
     def digest(self) -> str:
@@ -111,7 +108,7 @@ class Estimator:
         """Take a scan's activations on a link, whose sensor is at a pose (3,) in the world; never
         raises. Without `thinks` it is left to the caller when to `think` about it."""
         self.counters.scans += 1
-        self.used = self.unconsidered = None
+        self.used, self._is_unconsidered = None, False
         self._blind = self._blind or not activation.live.any()
         observation = self._intakes[link].observation(activation, sensor)
         if observation is None:
@@ -122,13 +119,13 @@ class Estimator:
             if observation.live.any():
                 self.used = self._new(observation)
             if self.used is None:
-                self._conclude(observation)
-                self.unconsidered = observation
+                self._conclude()
+                self._is_unconsidered = True
             else:
                 self.counters.updates += 1
                 # silence is after the last contact on any link
                 number = self._number[link] if self.used.is_contact else self._contacts
-                self._conclude(observation, *self.bank.take(self.scans.add(self.used, number)))
+                self._conclude(*self.bank.take(self._reader.read(self.used, number)))
         if thinks:
             self.think()
             while self.bank.is_behind:
@@ -139,7 +136,7 @@ class Estimator:
         """Learn the scans that another estimator has learned from, in their order. `moved`: the
         object may have been moved since then."""
         for observation, number in scans:
-            self.bank.take(self.scans.add(observation, number))
+            self.bank.take(self._reader.read(observation, number))
             while self.bank.is_behind:
                 self.bank.revisit()
         while self.bank.is_open and self.bank.revisit():
@@ -168,18 +165,18 @@ class Estimator:
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do."""
-        return self.bank.is_behind or (self.unconsidered is not None and self.bank.is_open)
+        return self.bank.is_behind or (self._is_unconsidered and self.bank.is_open)
 
     def think(self) -> bool:
         """After a scan that told nothing new, search by earlier contacts; → whether the estimate
         has changed."""
-        observation, self.unconsidered = self.unconsidered, None
-        if observation is None and not self.bank.is_behind:
+        is_due, self._is_unconsidered = self._is_unconsidered or self.bank.is_behind, False
+        if not is_due:
             return False
         samples = self.bank.revisit()
         if samples:
             self.counters.thoughts += 1
-            self._conclude(observation or self._newest, samples)
+            self._conclude(samples)
         return samples > 0
 
     @property
@@ -207,11 +204,10 @@ class Estimator:
         if before.is_contact and observation.is_contact:
             self.bank.follow(before, observation)
 
-    def _conclude(
-        self, observation: Observation, injected: int = 0, log_evidence: float = 0.0
-    ) -> None:
+    def _conclude(self, injected: int = 0, log_evidence: float = 0.0) -> None:
         """Make an estimate of the current belief."""
-        self._blind = self._is_blind(observation)
+        if self._newest is not None:
+            self._blind = self._is_blind(self._newest)
         self.estimate = self._estimate(self._t, injected, log_evidence)
 
     def _draw(self, known: Known, observation: Observation, n: int) -> Poses:

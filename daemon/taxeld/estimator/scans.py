@@ -1,7 +1,5 @@
-"""The scans that were learned from: one list, which all beliefs draw on and which a restart keeps.
-
-A scan is read once: what its readings tell is the same for every object and pose. The list holds as
-many scans as a belief remembers.
+"""The scans that are learned from. A scan is read once: what its readings tell is the same for each
+object and pose.
 """
 
 import math
@@ -70,34 +68,17 @@ class ScanEvidence:
         return replace(self.observation, z=self.fields[Field.Z].astype(np.float64))
 
 
-class ScanList:
-    """The scans of one estimator, in their order."""
+class Reader:
+    """Reads the scans of one estimator."""
 
     def __init__(self, links: Sequence[ObservationModel], noise: Noise) -> None:
         """`links`: the skins; the object does not matter. `noise`: where a scan has none."""
-        self.all: Sequence[ScanEvidence] = ()  # never changed: each scan makes another one
-        self.added = 0  # scans since the start
         self._noise = noise
         self._anything = [Anything(each, noise) for each in links]
         self._silent: ScanEvidence | None = None  # the last silent scan
 
-    def add(self, observation: Observation, number: int = 0) -> ScanEvidence:
-        """Read a scan, and remember it."""
-        scan = self._read(observation, number)
-        self.added += 1
-        scans = [*self.all, scan]
-        forgotten = surplus(scans)
-        if forgotten is not None:
-            del scans[forgotten]
-        self.all = scans
-        return scan
-
-    def kept(self) -> list[ScanEvidence]:
-        """Without the silence after the last contact: the object may be moved before the next."""
-        last = max((scan.number for scan in self.all if scan.is_contact), default=0)
-        return [scan for scan in self.all if scan.number < last or scan.is_contact]
-
-    def _read(self, observation: Observation, number: int) -> ScanEvidence:
+    def read(self, observation: Observation, number: int = 0) -> ScanEvidence:
+        """A scan's evidence; `number`: of its contact, or of the one before."""
         before, is_contact = self._silent, observation.is_contact
         if before is not None and not is_contact and _are_alike(before.observation, observation):
             return replace(before, observation=observation, number=number)
@@ -109,6 +90,12 @@ class ScanList:
         if not is_contact:
             self._silent = scan
         return scan
+
+
+def until_last_touch(scans: Sequence[ScanEvidence]) -> list[ScanEvidence]:
+    """Without the silence after the last contact: the object may be moved before the next."""
+    last = max((scan.number for scan in scans if scan.is_contact), default=0)
+    return [scan for scan in scans if scan.number < last or scan.is_contact]
 
 
 def _are_alike(one: Observation, other: Observation) -> bool:

@@ -23,7 +23,13 @@ from numpy.typing import NDArray
 
 from taxeld import files
 from taxeld.config.tables import Config
-from taxeld.estimator.scans import VERSION, ScanEvidence, scan_arrays, scans_of
+from taxeld.estimator.scans import (
+    VERSION,
+    ScanEvidence,
+    scan_arrays,
+    scans_of,
+    until_last_touch,
+)
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.stage import later
 from taxeld.skin.calibration import SkinState
@@ -103,7 +109,8 @@ class Store:
         self._found: Arrays = {} if self._path is None else read(self._path)
         self._estimator = pipeline.estimator if pipeline.has_object else None
         self._keep_s = KEEP_S if config.filter.motion == "none" else 0.0
-        self._written_s, self._changes, self._captures = -math.inf, 0, 0
+        self._written_s, self._captures = -math.inf, 0
+        self._scans: Sequence[ScanEvidence] = ()  # that were written last
         self._is_forgotten = False
         self._packed: BinaryIO | None = None  # scans for clients, until the door has them
         self._handed: tuple[object, ...] = ()  # what was packed last, and for which door
@@ -150,13 +157,13 @@ class Store:
         """Have all written if it is time to, at a monotonic and a Unix time. Never blocks."""
         if self._path is None or self._writer.is_busy:
             return
-        changes = self._estimator.scans.added if self._estimator else 0
+        scans = self._estimator.scans if self._estimator else ()
         captures = sum(stage.skin.captures for stage in self._pipeline.stages)
-        wait_s = EVERY_S if changes != self._changes else AT_LEAST_S
+        wait_s = EVERY_S if scans != self._scans else AT_LEAST_S
         is_due = captures != self._captures or now_s >= self._written_s + wait_s
-        is_due = is_due and bool(captures or changes) and not self._pipeline.is_touched
+        is_due = is_due and bool(captures or scans) and not self._pipeline.is_touched
         if is_due or self._is_forgotten:
-            self._written_s, self._changes, self._captures = now_s, changes, captures
+            self._written_s, self._scans, self._captures = now_s, scans, captures
             self._is_forgotten = False
             self._writer.give(self._writing(self._path, wall_s))
 
@@ -173,8 +180,8 @@ class Store:
             self._packed = None
         if self._estimator is None or not link.is_ready or now_s < self._next_memory_s:
             return
-        scans, changes = self._estimator.scans.all, self._estimator.scans.added
-        key = link.ready, changes, self._estimator.counters.updates
+        scans = self._estimator.scans
+        key = link.ready, scans
         if key == self._handed or self._pipeline.is_touched or self._writer.is_busy:
             return
         touches = [scan for scan in scans if scan.is_contact]
@@ -183,11 +190,11 @@ class Store:
         if is_same and now_s < self._handed_s + SILENT_S:
             return
         self._handed, self._touches, self._handed_s = key, touches, now_s
-        about = {"digest": np.array(self._estimator.digest), "changes": np.array(key[1:])}
+        digest = np.array(self._estimator.digest)
 
         def pack() -> None:
             packed = os.fdopen(os.memfd_create("memory"), "w+b")
-            np.savez(packed, allow_pickle=False, **scan_arrays(scans), **about)
+            np.savez(packed, allow_pickle=False, **scan_arrays(scans), digest=digest)
             packed.flush()
             self._packed = packed
 
@@ -208,7 +215,7 @@ class Store:
         something to keep, or to forget."""
         by, estimator = self._pipeline.stepped_s, self._estimator
         states = [stage.skin.state() for stage in self._pipeline.stages]
-        scans = estimator.scans.kept() if estimator and self._keep_s else []
+        scans = until_last_touch(estimator.scans) if estimator and self._keep_s else []
         digest = np.array(estimator.digest if scans and estimator else "")
         was_written = self._written_s > -math.inf or self._is_forgotten
 
