@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -67,20 +68,18 @@ def notices(pipeline: Pipeline | None = None) -> Notices:
 def test_a_change_of_status_is_logged_once(
     estimate: Estimate, logged: Callable[[], list[str]]
 ) -> None:
-    told = notices()
-    for now_s in range(3):
-        told.estimate(estimate, Why.UNTOUCHED, "touch the object", now_s)
-    assert logged() == ["INFO: status: searching, not valid, 0 contacts: touch the object"]
-    told.estimate(estimate, Why.VAGUE, "touch again", 10.0)
-    assert logged() == ["INFO: status: searching, not valid, 0 contacts: touch again"]
-    stale = replace(estimate, status=Status.STALE)
-    told.estimate(stale, Why.NO_SCAN, "no scan comes", 20.0)
-    assert logged() == ["WARNING: status: stale, not valid, 0 contacts: no scan comes"]
+    told, stale = notices(), replace(estimate, status=Status.STALE)
     sure = replace(estimate, p=0.9962, radius_m=0.0088)
-    told.estimate(sure, Why.VALID, "", 30.0)
-    (line,) = logged()
-    assert line.startswith("INFO: status: searching, valid, 0 contacts, x ")
-    assert line.endswith(" rad, p 99.6%, radius 8.8 mm")
+    valid = r"x \S+ m, y \S+ m, yaw \S+ rad, p 99.6%, radius 8.8 mm"
+    for now_s, one, why, reason, line in (
+        (0.0, estimate, Why.UNTOUCHED, "touch it", "INFO: searching, not valid, .*: touch it"),
+        (1.0, estimate, Why.UNTOUCHED, "touch it", ""),
+        (10.0, estimate, Why.VAGUE, "again", "INFO: searching, not valid, 0 contacts: again"),
+        (20.0, stale, Why.NO_SCAN, "no scan", "WARNING: stale, not valid, 0 contacts: no scan"),
+        (30.0, sure, Why.VALID, "", f"INFO: searching, valid, 0 contacts, {valid}"),
+    ):
+        told.estimate(one, why, reason, now_s)
+        assert re.fullmatch(line.replace(": ", ": status: ", 1), "".join(logged()))
 
 
 def test_a_status_that_flaps_is_logged_ever_less_often_and_the_last_one_is_logged(

@@ -15,7 +15,7 @@ from taxeld.skin.skin import Skin
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module
 from tests.rig.examples import examples
-from tests.rig.simulated_skin import PERIOD_S, SimulatedSkin, begun
+from tests.rig.simulated_skin import NOISE, PERIOD_S, SimulatedSkin, begun
 from tests.rig.skins import SKIN
 
 FROZEN_S = 12.0  # 200 scans, and the slice that they end in
@@ -26,21 +26,27 @@ HAPPENINGS = [
 ]
 
 
-def test_an_activation_is_counts_over_baseline_by_full_scale(skin: Layout) -> None:
-    simulated, subject = begun(skin, noise=0.0)
-    simulated.press[[0, 31]] = 10_000.0, 30_000.0
-    activation = simulated.run(subject, 0.05)
-    assert activation.t == simulated.t
-    assert activation.z[[0, 31]] == pytest.approx([0.5, 1.0], abs=1e-4)
-    assert activation.live.all()
-    assert np.count_nonzero(activation.z) == 2
-
-
-@pytest.mark.parametrize(("noise", "is_felt"), [(0.0, True), (130.0, False)])
-def test_each_taxel_has_a_threshold_of_its_noise(skin: Layout, noise: float, is_felt: bool) -> None:
+@pytest.mark.parametrize(
+    ("noise", "press", "seconds", "z"),
+    [
+        (0.0, {0: 10_000.0, 31: 30_000.0}, PERIOD_S, {0: 0.5, 31: 1.0}),
+        (0.0, {5: 500.0}, PERIOD_S, {5: 0.025}),
+        (130.0, {5: 500.0}, PERIOD_S, {}),  # each has a threshold of its noise
+        (NOISE, {BAD: 30_000.0}, FROZEN_S, {BAD: 1.0}),  # below the invalid range
+        (0.0, {}, FROZEN_S, {}),  # a skin without noise is not frozen
+    ],
+)
+def test_an_activation_is_counts_over_baseline_by_full_scale(
+    skin: Layout, noise: float, press: dict[int, float], seconds: float, z: dict[int, float]
+) -> None:
     simulated, subject = begun(skin, noise=noise)
-    simulated.press[5], simulated.noise = 500.0, 0.0
-    assert (simulated.run(subject, 0.05).z[5] > 0.0) == is_felt
+    simulated.noise = noise if seconds > PERIOD_S else 0.0
+    simulated.press[list(press)] = list(press.values())
+    activation = simulated.run(subject, seconds)
+    assert activation.t == simulated.t
+    assert activation.live.all()
+    assert np.flatnonzero(activation.z).tolist() == list(z)
+    assert activation.z[list(z)] == pytest.approx(list(z.values()), abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -69,19 +75,6 @@ def test_a_taxel_that_reads_one_thing_is_masked_until_it_recovers(
     del simulated.fixed[BAD]
     assert simulated.run(subject, 2.0).live.all()
     assert not any(subject.faults().values())
-
-
-def test_a_hard_press_below_the_invalid_range_is_full_scale(skin: Layout) -> None:
-    simulated, subject = begun(skin)
-    simulated.base[BAD], simulated.press[BAD] = 10_000.0, 32_000.0
-    activation = simulated.run(subject, FROZEN_S)
-    assert activation.live[BAD]
-    assert activation.z[BAD] == 1.0
-
-
-def test_a_skin_without_noise_is_not_frozen(skin: Layout) -> None:
-    simulated, subject = begun(skin, noise=0.0)
-    assert simulated.run(subject, FROZEN_S).live.all()
 
 
 def test_tare_learns_the_baseline_anew(skin: Layout) -> None:
@@ -229,16 +222,20 @@ def test_noise_about_what_foam_keeps_is_no_touch() -> None:
     assert foam.level == pytest.approx(kept, abs=100.0)
 
 
-def test_what_a_light_touch_leaves_after_a_firm_one_is_no_touch(foam: Foam) -> None:
-    """More than the threshold, and much less than foam may keep of the first."""
-    for counts, seconds, is_felt in ((FIRM, 1.0, True), (0.0, 2.0, False), (2000.0, 1.0, True)):
-        assert (foam.hold(counts, seconds).z[PRESSED] > 0.0) == is_felt
-    assert not any(foam.hold(400.0, PERIOD_S).z.any() for _ in range(100))
-
-
-def test_a_held_touch_is_felt_for_as_long_as_it_is_held(foam: Foam) -> None:
-    for _ in range(12):
-        assert foam.hold(1000.0, 10.0).z[PRESSED] > 0.02
+@pytest.mark.parametrize(
+    "story",
+    [
+        # more than the threshold, and much less than foam may keep of the firm touch
+        [(FIRM, 1.0, True), (0.0, 2.0, False), (2_000.0, 1.0, True), (400.0, 5.0, False)],
+        [(1_000.0, 10.0, True)] * 12,  # as long as it is held
+    ],
+)
+def test_a_touch_is_felt_and_what_it_leaves_is_not(
+    foam: Foam, story: list[tuple[float, float, bool]]
+) -> None:
+    for counts, seconds, is_felt in story:
+        for _ in range(round(seconds / PERIOD_S)):
+            assert (foam.hold(counts, PERIOD_S).z[PRESSED] > 0.02) == is_felt
 
 
 def test_an_activation_has_what_foam_may_hide_and_keep_and_no_baseline_follows_it(

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +9,10 @@ import pytest
 
 from taxeld.commands import check, status
 from taxeld.commands.replay import replay
-from taxeld.config.file import load, parse
-from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals.samples import Samples
+from taxeld.config.file import load
 from taxeld.stream import topics
 from tests.rig.configurations import configuration
 from tests.rig.recorded import LiveSkin, Said, said_of, write_session
-from tests.rig.simulated_skin import SimulatedSkin
-from tests.rig.skins import SKIN
 
 from ..rig.stream_page import documented, leaves
 
@@ -83,16 +78,3 @@ def test_check_notes_that_nothing_will_be_estimated(tmp_path: Path) -> None:
     whole = load(configuration(tmp_path, **NO_SCENE))
     assert check.faults(whole) == []
     assert check.notes(whole) == [check.ALONE]
-
-
-def test_each_of_several_links_is_served() -> None:
-    text = '[source]\nkind = "can"\nchannel = "can0"\n' + "[[skin]]\n" * 2
-    server = Pipeline(parse(text), [SKIN, SKIN], [], Samples())
-    skins = [SimulatedSkin(SKIN, seed=k) for k in range(2)]
-    for scan in range(30):
-        skins[1].press[40] = 9000.0 * (scan >= 25)
-        scans = [replace(skin.scan(), link=k) for k, skin in enumerate(skins)]
-        outcomes = list(server.advance(scans, skins[0].t))
-    felt = {one.link: one.activation for one in outcomes}
-    assert [felt[k] is not None and felt[k].z.any() for k in range(2)] == [False, True]  # type: ignore[union-attr]
-    assert server.estimate.contact

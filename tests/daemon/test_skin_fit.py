@@ -7,7 +7,6 @@ import pytest
 
 from taxeld.arrays import Floats
 from taxeld.config.tables import SkinConfig
-from taxeld.layout.layout import Layout
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Lesson
 from taxeld.model.response import SAG_M, SAG_SD, Inverse, response, sagging
@@ -17,7 +16,7 @@ from taxeld.skin.skin import Skin
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from tests.rig.simulated_skin import begun
-from tests.rig.skins import calibration_of
+from tests.rig.skins import SKIN, calibration_of
 
 TAXELS = 60
 NOISE = Noise(0.04, 0.17, sag_m=SAG_M, sag_sd=SAG_SD)
@@ -154,30 +153,28 @@ def test_touches_of_another_object_move_no_response_by_more_than_its_own_sd() ->
     assert (np.abs(fit.fit.mean - before.fit.mean) <= sd).all()
 
 
-def test_what_was_learned_outlasts_a_restart_and_an_old_baseline(skin: Layout) -> None:
-    _, subject = begun(skin)
+@pytest.mark.parametrize(
+    ("config", "is_calibrated", "gain"),
+    [
+        (SkinConfig(), False, 1.3),
+        (SkinConfig(learn=False), False, 1.0),
+        # on another scale: a calibration that was configured later, or another full scale
+        (SkinConfig(), True, calibration_of(SKIN).gain),
+        (SkinConfig(full_scale_counts=30_000.0), False, 1.0),
+    ],
+)
+def test_what_was_learned_outlasts_a_restart_and_an_old_baseline_on_the_same_scale(
+    config: SkinConfig, is_calibrated: bool, gain: Floats | float
+) -> None:
+    _, subject = begun(SKIN)
     learned = subject.fit.values
     learned[0] *= 1.3
     subject.fit.restore(learned)
     state = subject.state()
     assert state is not None
-    for learns in (True, False):
-        again = Skin(skin, SkinConfig(learn=learns), noise=NOISE)
-        again.restore(state, baseline=False)
-        assert not again.is_ready
-        assert np.allclose(again.fit.values[0], 1.3 if learns else 1.0)
-        assert (again.noise is not None) == learns
-
-
-def test_what_was_learned_on_another_scale_is_not_taken(skin: Layout) -> None:
-    """A calibration that is configured after the state was written, or another full scale."""
-    _, subject = begun(skin)
-    state = subject.state()
-    assert state is not None
-    calibration = calibration_of(skin)
-    calibrated = Skin(skin, SkinConfig(), calibration=calibration, noise=NOISE)
-    calibrated.restore(state)
-    assert np.allclose(calibrated.fit.values[0], calibration.gain)
-    stretched = Skin(skin, SkinConfig(full_scale_counts=30_000.0), noise=NOISE)
-    stretched.restore(replace(state, response=1.3 * state.response))
-    assert np.allclose(stretched.fit.values[0], 1.0)
+    calibration = calibration_of(SKIN) if is_calibrated else None
+    again = Skin(SKIN, config, calibration=calibration, noise=NOISE)
+    again.restore(state, baseline=False)
+    assert not again.is_ready
+    assert np.allclose(again.fit.values[0], gain)
+    assert (again.noise is not None) == (is_calibrated or gain == 1.3)
