@@ -7,7 +7,7 @@ import fcntl
 import getpass
 import os
 import pty
-import re
+import select
 import socket
 import tempfile
 import termios
@@ -24,7 +24,6 @@ from taxeld.commands import check
 from taxeld.config import endpoints
 from taxeld.config.file import load
 from taxeld.errors import SetupError
-from taxeld.source.device import AwayError
 from taxeld.source.opening import open_source
 from taxeld.stream import client
 from tests.rig.commands import printed, refused
@@ -52,12 +51,10 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def plain_user() -> Iterator[None]:
     """Root is forbidden what others are: modes hold for this thread."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    header = (ctypes.c_uint32 * 2)(CAPABILITIES, 0)
+    libc, header = ctypes.CDLL(None), (ctypes.c_uint32 * 2)(CAPABILITIES, 0)
     sets = (ctypes.c_uint32 * 6)()  # effective, permitted, inheritable: lower, then upper half
-    assert libc.capget(header, sets) == 0
-    before = sets[0]
-    sets[0] &= ~MAY_ALL
+    libc.capget(header, sets)
+    before, sets[0] = sets[0], sets[0] & ~MAY_ALL
     assert libc.capset(header, sets) == 0
     yield
     sets[0] = before
@@ -65,18 +62,25 @@ def plain_user() -> Iterator[None]:
 
 
 @pytest.fixture
-def line() -> Iterator[Path]:
-    ours, theirs = pty.openpty()
-    yield Path(os.ttyname(theirs))
-    os.close(ours)
-    os.close(theirs)
+def ends() -> Iterator[tuple[int, Path]]:
+    """The far end of a serial line, and the line's device."""
+    far, near = pty.openpty()
+    tty.setraw(near)
+    yield far, Path(os.ttyname(near))
+    os.close(far)
+    os.close(near)
 
 
-def configured(place: Path, device: Path | str = "", **tables: Table) -> Path:
-    """A daemon on a serial line; it serves nobody, and has no object, as that opens slowly."""
+@pytest.fixture
+def answering(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """From now on a daemon answers."""
+    return lambda: monkeypatch.setattr(client, "ask", lambda *_: {"ok": True})
+
+
+def configured(place: Path, **tables: Table) -> Path:
+    """A daemon that serves nobody, and has no object, as that opens slowly."""
     nobody: dict[str, Table] = {"publish": {"endpoints": []}, "control": {"endpoint": ""}}
-    source = {"kind": "serial", "channel": device}
-    return configuration(place, **{"source": source, "scene": {}, **nobody, **tables})
+    return configuration(place, **{"scene": {}, **nobody, **tables})
 
 
 SPEED = "source.channel: {} must end with @ and a line speed, as /dev/null@115200"
@@ -140,71 +144,52 @@ AWAY = [  # the same, of a device for which a run waits
     [*((*row, False) for row in UNOPENED), *((*row, True) for row in AWAY)],
     ids=[begin[:60] for *_, begin in (*UNOPENED, *AWAY)],
 )
+@pytest.mark.usefixtures("plain_user")
 def test_check_says_what_run_says_of_a_device_that_does_not_open(
     place: Path,
-    line: Path,
+    ends: tuple[int, Path],
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
-    request: pytest.FixtureRequest,
     source: Table,
     fails: dict[str, Mock],
     begin: str,
     waits: bool,
 ) -> None:
-    keys = {"kind": "can", "channel": "x", **source}
-    keys["channel"] = keys["channel"].format(place=place, line=line)
-    path = configured(place, source=keys)
-    if "permission" in begin:
-        line.chmod(0)
-        request.getfixturevalue("plain_user")
+    line = ends[1]
+    line.chmod(0 if "permission" in begin else 0o600)
+    channel = source.get("channel", "x").format(place=place, line=line)
+    path = configured(place, source={"kind": "can", **source, "channel": channel})
     for target, failing in fails.items():
         monkeypatch.setattr(target, failing)
     told = refused("check", path).rstrip()
     assert told.startswith(begin.format(place=place, line=line))
-    if waits:
-        with contextlib.closing(open_source(load(path).source, {0: SKIN}, wait=True)):
-            assert caplog.messages == [f"{told}; waiting for it"]
-    else:
-        with pytest.raises(SetupError, match=f"^{re.escape(told)}$") as caught:
-            open_source(load(path).source, {0: SKIN}, wait=True)
-        assert not isinstance(caught.value, AwayError)
+    try:
+        open_source(load(path).source, {0: SKIN}, wait=True).close()
+        said = caplog.messages
+    except SetupError as error:
+        said = [str(error)]
+    assert said == [f"{told}; waiting for it" if waits else told]
 
 
-@pytest.fixture
-def answering(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """From now on a daemon answers."""
-    return lambda: monkeypatch.setattr(client, "ask", lambda *_: {"ok": True})
-
-
-def test_a_device_that_another_process_has_is_refused_unless_a_daemon_answers(
-    place: Path, line: Path, answering: Callable[[], None]
+@pytest.mark.parametrize("kind", [SERIAL, {"kind": "can", **SLCAN}], ids=["serial", "slcan"])
+def test_a_device_is_opened_for_this_process_alone_and_nothing_is_sent_to_it(
+    place: Path, ends: tuple[int, Path], kind: Table, answering: Callable[[], None]
 ) -> None:
-    """The locks of two open files of one process keep each other out as those of two do."""
-    path = configured(place, line, control={"endpoint": f"ipc://{place}/control"})
+    """Unless the other process is a daemon that answers. The locks of two open files of one process
+    keep each other out as those of two do."""
+    far, line = ends
+    control = {"endpoint": f"ipc://{place}/control"}
+    path = configured(place, source={**kind, "channel": line}, control=control)
+    cure = f"another process has it open; stop that first, 'fuser {line}' tells which"
     with line.open("rb", buffering=0) as held:
         printed("check", path)  # who only has it open keeps nobody out
+        assert select.select([far], [], [], 0)[0] == []
         fcntl.flock(held, fcntl.LOCK_EX)
-        told = refused("check", path)
-        for kind in ({"kind": "serial"}, {"kind": "can", "interface": "slcan"}):
-            (other := place / "other").mkdir(exist_ok=True)
-            keys = load(configured(other, source=kind | {"channel": line})).source
-            with contextlib.closing(open_source(keys, {0: SKIN}, wait=True)) as waiting:
-                assert "another process has it open" in waiting.waits_for
+        assert cure in refused("check", path)
+        with contextlib.closing(open_source(load(path).source, {0: SKIN}, wait=True)) as waiting:
+            assert cure in waiting.waits_for
         answering()
         printed("check", path)
-    assert f"another process has it open; stop that first, 'fuser {line}' tells which" in told
-
-
-def test_nothing_is_sent_to_a_device(place: Path) -> None:
-    ours, theirs = pty.openpty()
-    tty.setraw(theirs)
-    os.set_blocking(ours, False)
-    for kind in ({"kind": "serial"}, {"kind": "can", "interface": "slcan"}):
-        printed("check", configured(place, source=kind | {"channel": os.ttyname(theirs)}))
-        with pytest.raises(BlockingIOError):
-            os.read(ours, 1)
-    os.close(ours)
-    os.close(theirs)
 
 
 def test_more_scans_than_the_bus_carries_are_refused_with_the_period_that_it_does(
@@ -218,54 +203,49 @@ def test_more_scans_than_the_bus_carries_are_refused_with_the_period_that_it_doe
     printed("check", configured(place, source=source | {"period_ms": 267}))
 
 
+def listening(at: Path) -> socket.socket:
+    other = socket.socket(socket.AF_UNIX)
+    other.bind(str(at))
+    other.listen()
+    return other
+
+
 @pytest.mark.parametrize("key", ["publish", "control"])
 @pytest.mark.parametrize(
-    ("fault", "words"),
+    ("made", "words"),
     [
-        ("left", ""),  # by a daemon that was killed
-        ("served", "another daemon serves {at}"),
-        ("no socket", "{at} is no socket; remove it"),
-        ("no directory", "does not exist; the service makes it"),
-        ("closed", "cannot bind ipc://{at} (Permission denied); is another daemon there?"),
+        (lambda at: listening(at).close(), ""),  # left by a daemon that was killed
+        (listening, "another daemon serves {at}"),
+        (Path.touch, "{at} is no socket; remove it"),
+        (lambda at: at.parent.rmdir(), "does not exist; the service makes it"),
+        (
+            lambda at: at.parent.chmod(0o555),
+            "cannot bind ipc://{at} (Permission denied); is another daemon there?",
+        ),
     ],
+    ids=["left", "served", "no socket", "no directory", "closed"],
 )
+@pytest.mark.usefixtures("plain_user")
 def test_an_endpoint_that_cannot_be_had_is_refused(
     place: Path,
-    request: pytest.FixtureRequest,
     answering: Callable[[], None],
     key: str,
-    fault: str,
+    made: Callable[[Path], socket.socket | None],
     words: str,
 ) -> None:
+    """One that is served is none, if a daemon answers."""
     at = place / "run" / "s"
     at.parent.mkdir()
-    named = {"endpoint": f"ipc://{at}"} if key == "control" else {"endpoints": [f"ipc://{at}"]}
-    control = {"endpoint": f"ipc://{place}/control"}
-    path = configured(place, source=QUIET, **{"control": control, key: named})
-    with socket.socket(socket.AF_UNIX) as other:
-        if fault in ("served", "left"):
-            other.bind(str(at))
-        if fault == "served":
-            other.listen()
-        elif fault == "left":
-            other.close()
-        elif fault == "no socket":
-            at.touch()
-        elif fault == "no directory":
-            at.parent.rmdir()
-        elif fault == "closed":
-            at.parent.chmod(0o555)
-            request.getfixturevalue("plain_user")
-        if words:
-            told = refused("check", path)
-            assert told.startswith(f"{NAMES[key]}: ")
-            assert words.format(at=at) in told
-        else:
-            printed("check", path)
+    with made(at) or contextlib.nullcontext():
+        named = {"endpoint": f"ipc://{at}", "endpoints": [f"ipc://{at}"]}
+        served = {"control": {"endpoint": f"ipc://{place}/control"}}
+        served[key] = {name: named[name] for name in [NAMES[key].partition(".")[2]]}
+        path = configured(place, source=QUIET, **served)
+        told = refused("check", path) if words else f"{NAMES[key]}: {printed('check', path)}"
+        assert told.startswith(f"{NAMES[key]}: ")
+        assert words.format(at=at) in told
         answering()
-        assert main(["check", str(path)]) == (2 if words and fault != "served" else 0)
-        if fault == "closed":
-            at.parent.chmod(0o755)
+        assert main(["check", str(path)]) == (2 if words and made is not listening else 0)
 
 
 @pytest.mark.parametrize(("flags", "is_down"), [(0x40C0, True), (0x40C1, False)])
@@ -282,55 +262,40 @@ def test_an_interface_that_is_down_is_noted(
 
 
 @pytest.mark.parametrize(
-    ("closed", "group", "cure"),
+    ("closed", "group", "told"),
     [
         ("control", "taxeld", "for members of the group taxeld: sudo usermod -aG taxeld "),
         ("", "taxeld", "for members of the group taxeld: sudo usermod -aG taxeld robin, "),
         ("", "rob3", "open to rob3 alone: ask as rob3, or run the daemon as the service"),
+        ("../other", "", "something at ipc://{at}/control takes the question and does not answer"),
     ],
 )
-def test_no_permission_is_not_no_daemon(
-    place: Path,
-    request: pytest.FixtureRequest,
-    monkeypatch: pytest.MonkeyPatch,
-    closed: str,
-    group: str,
-    cure: str,
+@pytest.mark.usefixtures("plain_user")
+def test_no_permission_or_another_program_is_not_no_daemon(
+    place: Path, monkeypatch: pytest.MonkeyPatch, closed: str, group: str, told: str
 ) -> None:
     at = place / "run"
-    at.mkdir()
+    for directory in (at, place / "other"):
+        directory.mkdir()
     monkeypatch.setattr(getpass, "getuser", lambda: "robin")
     monkeypatch.setattr(Path, "group", lambda _: group)
     monkeypatch.setattr(Path, "owner", lambda _: "rob3")
-    with socket.socket(socket.AF_UNIX) as other:
-        other.bind(f"{at}/control")
-        other.listen()
+    with listening(at / "control"):
         (at / closed).chmod(0)
-        request.getfixturevalue("plain_user")
-        told = refused("status", f"ipc://{at}/control", status=1)
-        at.chmod(0o755)
-    assert told.startswith(f"no permission to ask at ipc://{at}/control: it is {cure}")
+        said = refused("status", f"ipc://{at}/control", status=1)
+    no_permission = f"no permission to ask at ipc://{at}/control: it is " * bool(group)
+    assert said.startswith(no_permission + told.format(at=at))
 
 
+@pytest.mark.usefixtures("plain_user")
 def test_who_is_not_in_the_group_is_told_of_the_services_daemon(
-    place: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    service, own = place / "taxeld", place / "own"
-    service.mkdir(mode=0)
-    own.mkdir()
-    monkeypatch.setattr(endpoints, "RUNTIME", service)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(own))
-    request.getfixturevalue("plain_user")
-    endpoint = f"ipc://{own}/taxeld/control"
+    for directory, mode in (("taxeld", 0), ("own", 0o700)):
+        (place / directory).mkdir(mode=mode)
+    monkeypatch.setattr(endpoints, "RUNTIME", place / "taxeld")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "own"))
+    endpoint = f"ipc://{place}/own/taxeld/control"
     told = refused("status", endpoint, status=1)
-    assert told.startswith(f"no daemon answers at {endpoint}; is 'taxeld run' there? That of ")
-    assert f"That of the service, in {service}, is " in told
-    service.chmod(0o755)
-
-
-def test_what_takes_the_question_and_is_no_daemon_is_told(place: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as other:
-        other.bind(f"{place}/control")
-        other.listen()
-        told = refused("status", f"ipc://{place}/control", status=1)
-    assert "takes the question and does not answer" in told
+    assert told.startswith(f"no daemon answers at {endpoint}; is 'taxeld run' there? That of the ")
+    assert f"That of the service, in {place}/taxeld, is " in told
