@@ -1,12 +1,14 @@
 """`taxeld view`: a session's and a daemon's picture, and what stops it."""
 
+import re
 import shutil
 import subprocess
 import sys
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import msgpack
@@ -19,12 +21,12 @@ pytest.importorskip("rerun")
 import rerun as rr
 
 from taxeld.cli import main
-from taxeld.layout import read as layouts
 from taxeld.stream import topics
 from taxeld.view import view
 from tests.rig.commands import refused
 from tests.rig.configurations import configuration
 from tests.rig.recorded import write_session
+from tests.rig.skins import SKIN
 
 from .conftest import Sockets
 from .test_stream_document import documented
@@ -41,7 +43,7 @@ ALWAYS = {
     "/plot/belief/p",
     "/plot/spread/theta_deg",
 }
-WAIT_S = 60.0
+WAIT_MS = 60_000
 Maps = dict[bytes, dict[str, Any]]
 
 
@@ -50,10 +52,10 @@ def entities(path: Path) -> Counter[str]:
     command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(path)]
     printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     rows: Counter[str] = Counter()
-    for line in printed.splitlines():
-        if line.startswith("Chunk("):
-            _, _, count, *rest = line.replace(") with ", " with ").split(" ")
-            rows[next(word for word in rest if word.startswith("/"))] += int(count)
+    for count, name in re.findall(
+        r"^Chunk\(\w+\) with +(\d+) rows .*? (/\S+)", printed, re.MULTILINE
+    ):
+        rows[name] += int(count)
     return rows
 
 
@@ -64,41 +66,35 @@ def drawn(out: Path, *arguments: str) -> Counter[str]:
 
 
 def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(tmp_path: Path) -> None:
-    whole = drawn(tmp_path / "run.rrd", str(SESSION))
+    """With the truth also the true pose and the error."""
+    place = Path(shutil.copytree(SESSION, tmp_path / "session"))
+    (place / "truth.csv").write_text("t,x,y,theta\n1,0.1,0.2,0\n", encoding="ascii")
+    whole = drawn(tmp_path / "run.rrd", str(place))
     assert whole.keys() >= ALWAYS
     said = list(view.recorded(SESSION)[1])
     sent = Counter(topic for topic, _ in said)
     assert whole["/world/link/skin"] == sent[topics.TAXELS] > 20
     assert whole["/world/particles"] == sent[topics.PARTICLES] > 4
     valid = sum(m["valid"] for topic, m in said if topic == topics.ESTIMATE)
-    assert whole["/plot/belief/p"] == whole["/plot/spread/x_mm"] == valid
-    assert "/plot/error/add_mm" not in whole, "nobody knows the truth of this session"
+    plots = "/plot/belief/p", "/plot/spread/x_mm", "/plot/error/add_mm"
+    assert ([whole[name] for name in plots], whole["/world/truth"]) == ([valid] * 3, 1)
     begin = drawn(tmp_path / "begin.rrd", str(SESSION), "--seconds", "2")
     assert 0 < begin["/world/link"] < whole["/world/link"] / 2
-
-
-def test_a_session_with_the_truth_has_the_true_pose_and_the_error(tmp_path: Path) -> None:
-    place = Path(shutil.copytree(SESSION, tmp_path / "session"))
-    (place / "truth.csv").write_text("t,x,y,theta\n1,0.1,0.2,0\n", encoding="ascii")
-    found = drawn(tmp_path / "run.rrd", str(place))
-    assert found["/world/truth"] == 1
-    assert found["/plot/error/add_mm"] == found["/plot/belief/p"]
+    assert "/plot/error/add_mm" not in begin, "nobody knows the truth of this session"
 
 
 def test_a_session_without_an_object_is_the_skin_alone(tmp_path: Path) -> None:
     write_session(tmp_path)
     configuration(tmp_path, scene={})
-    found = drawn(tmp_path / "run.rrd", str(tmp_path))
-    assert "/world/link/skin" in found
-    assert not found.keys() & {"/world/object", "/status"}
+    found = drawn(tmp_path / "run.rrd", str(tmp_path)).keys()
+    assert found & {"/world/link/skin", "/world/object", "/status"} == {"/world/link/skin"}
 
 
 def maps() -> Maps:
     """A message of each topic that is drawn, as documented, of a skin with two pressed taxels."""
     made = {topic: documented(topic.decode())[1] for topic in TOPICS}
-    positions = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015").position_m
-    made[topics.INFO]["layout"] |= {"position_m": positions.tolist()}
-    z = [0.45, *[0.0] * (len(positions) - 2), 1.0]
+    z = [0.45, *[0.0] * (len(SKIN) - 2), 1.0]
+    made[topics.INFO]["layout"] |= {"position_m": SKIN.position_m.tolist()}
     made[topics.TAXELS] |= {"z": z, "live": [True] * len(z)}
     return made
 
@@ -107,12 +103,11 @@ def restarted(number: int, said: Maps) -> Maps:
     """The same daemon, and from the tenth scan on one that knows a second object and has another
     skin; its info comes ten scans late."""
     if number >= 10:
-        info = said[topics.INFO]
         for one in (said[topics.ESTIMATE], *said[topics.ESTIMATE]["modes"]):
             one["object"] = 1
         said[topics.TAXELS] |= {"z": [0.5], "live": [True]}
-        info["objects"] = info["objects"][:1] * 2
-        info["layout"]["position_m"] = [[0.04, 0.0, 0.0]]
+        said[topics.INFO]["objects"] = said[topics.INFO]["objects"][:1] * 2
+        said[topics.INFO]["layout"]["position_m"] = [[0.04, 0.0, 0.0]]
     return said if number in (0, 20) else {topic: said[topic] for topic in TOPICS[1:]}
 
 
@@ -120,15 +115,13 @@ def restarted(number: int, said: Maps) -> Maps:
 def daemon(sockets: Sockets, tmp_path: Path) -> Iterator[Callable[..., str]]:
     """Starts a daemon that speaks as documented once a subscriber has come, ten scans a second by
     its own time, until the test ends; → its endpoint."""
-    endpoint = f"ipc://{tmp_path}/stream"
-    publisher: zmq.Socket[Any] = sockets.open(zmq.XPUB)
+    publisher, endpoint, ended = sockets.open(zmq.XPUB), f"ipc://{tmp_path}/stream", Event()
+    publisher.setsockopt(zmq.RCVTIMEO, WAIT_MS)
     publisher.bind(endpoint)
-    ended, speakers = threading.Event(), list[threading.Thread]()
 
     def speak(said_of: Callable[[int, Maps], Maps]) -> None:
         for _ in TOPICS:
-            if publisher.poll(round(1e3 * WAIT_S)):
-                publisher.recv()
+            publisher.recv()
         for number in range(100_000):
             for topic, said in said_of(number, maps()).items():
                 body = said | ({"t": 1e9 + 0.1 * number} if "t" in said else {})
@@ -136,15 +129,9 @@ def daemon(sockets: Sockets, tmp_path: Path) -> Iterator[Callable[..., str]]:
             if ended.wait(0.01):
                 return
 
-    def start(said_of: Callable[[int, Maps], Maps] = lambda _, said: said) -> str:
-        speakers.append(threading.Thread(target=speak, args=[said_of]))
-        speakers[0].start()
-        return endpoint
-
-    yield start
-    ended.set()
-    for one in speakers:
-        one.join()
+    with ThreadPoolExecutor(1) as pool:
+        yield lambda said_of=lambda _, said: said: pool.submit(speak, said_of) and endpoint
+        ended.set()
 
 
 def test_a_running_daemon_is_shown(daemon: Callable[..., str], tmp_path: Path) -> None:
@@ -175,13 +162,12 @@ REFUSED = [
 def test_no_screen_no_daemon_and_wrong_arguments_are_one_line_each(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], status: int, text: str
 ) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("taxeld.view.view.ANSWER_S", 0.1)
-    out = tmp_path / "x.rrd"
-    typed = [one.format(place=tmp_path, out=out) for one in arguments]
-    assert text.format(place=tmp_path) in refused("view", *typed, status=status)
-    assert not out.exists()
+    typed = [one.format(place=tmp_path, out=tmp_path / "x.rrd") for one in arguments]
+    assert text in refused("view", *typed, status=status)
+    assert not (tmp_path / "x.rrd").exists()
 
 
 @pytest.fixture
@@ -218,15 +204,9 @@ def test_a_window_that_is_closed_ends_the_view_of_a_daemon(
 def test_a_window_that_is_closed_leaves_the_rest_undrawn(viewer: Callable[[str], None]) -> None:
     """The stream's own end would wait for it while it holds the interpreter."""
     viewer("exit 0")
-    picture, points = view.Picture(), np.zeros((200, 3))
-
-    def heard() -> Iterator[view.Message]:
-        for _ in range(50):
-            for _ in range(30):
-                picture.stream.log("much", rr.Points3D(points))
-            yield view.PAUSE
-
-    view.show(picture, heard(), lambda: False)
+    picture, much = view.Picture(), rr.Points3D(np.zeros((200, 3)))
+    logged = ([picture.stream.log("much", much) for _ in range(30)] for _ in range(50))
+    view.show(picture, (view.PAUSE for _ in logged), lambda: False)
 
 
 def test_a_viewer_that_fails_is_one_line(viewer: Callable[[str], None]) -> None:
