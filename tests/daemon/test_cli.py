@@ -7,32 +7,24 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from dataclasses import asdict, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import get_type_hints
 
 import pytest
 
-from taxeld.commands.init import connection
 from taxeld.config.file import load, parse
 from taxeld.config.gate import keys_of
-from taxeld.config.tables import Config, SkinConfig, SourceConfig
-from taxeld.layout import read as layouts
+from taxeld.config.tables import Config, SkinConfig
 from taxeld.proposals import bundle
-from taxeld.source.sources import live
 from tests.rig.commands import printed, refused
+from tests.rig.configurations import Table
 from tests.rig.recorded import golden, write_golden
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
 
 DECLARED = "501#3C0301000C8C"  # one module of 12 channels
-
-
-@pytest.fixture
-def place(tmp_path: Path) -> Path:
-    write_golden(tmp_path)
-    return tmp_path
 
 
 def test_decode_loses_only_what_is_damaged_and_counts_every_frame(tmp_path: Path) -> None:
@@ -75,155 +67,137 @@ FAULTS = [  # of what a run opens; those of keys alone are of the configuration'
 ]
 
 
-def test_check_passes_what_is_fine_and_a_fault_is_one_line_and_status_2(place: Path) -> None:
-    path = golden(place)
-    assert printed("check", path) == f"{path}: fine\n"
-    for table, key, value, line in FAULTS:
-        path = golden(place, **{table: {key: value}})
-        assert refused("check", path).startswith(line)
-        if table in ("source", "scene"):
-            assert refused("run", path).startswith(line)
+def test_check_passes_what_is_fine(tmp_path: Path) -> None:
+    assert printed("check", golden(tmp_path)) == f"{tmp_path}/config.toml: fine\n"
+
+
+@pytest.mark.parametrize(("table", "key", "value", "line"), FAULTS, ids=[f[1] for f in FAULTS])
+def test_a_fault_of_what_a_run_opens_is_one_line_and_status_2(
+    tmp_path: Path, table: str, key: str, value: object, line: str
+) -> None:
+    path = golden(tmp_path, **{table: {key: value}})
+    for command in ("check", "run"):
+        assert refused(command, path).startswith(line)
 
 
 @pytest.mark.parametrize("command", ["check", "decode", "replay", "status", "advise", "calibrate"])
 def test_a_missing_file_is_one_line_and_status_2(command: str) -> None:
-    more = ["--check"] if command == "calibrate" else []
+    more = ["--out", "x.toml"] if command == "calibrate" else []
     assert "nowhere" in refused(command, "/nowhere.toml", *more)
 
 
-def test_a_session_that_is_none_or_damaged_or_whose_files_stayed_elsewhere_says_so(
-    place: Path,
+ELSEWHERE = (
+    "; a session does not hold its layout and its bundle: name them in {place}/config.toml, by "
+    "whole paths, or in another file with --config\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("tables", "log", "begin", "end"),
+    [
+        (None, None, "{place}: is no session (it has no ", "make one\n"),
+        ({}, "(1.0) can0 101#43\n(1.0) can\n", "{place}/frames.log: line 2 is no candump line", ""),
+        ({"scene": {"bundle": "objects/bracket"}}, None, "scene.bundle: ", ELSEWHERE),
+        ({"skin": {"layout": "skin.json"}}, None, "skin.layout: ", ELSEWHERE),
+    ],
+    ids=["none", "damaged", "the bundle stayed elsewhere", "the layout stayed elsewhere"],
+)
+def test_a_session_that_cannot_be_replayed_says_so(
+    tmp_path: Path, tables: dict[str, Table] | None, log: str | None, begin: str, end: str
 ) -> None:
-    for directory in (place / "none", place):
-        assert refused("replay", directory).startswith(f"{directory}: is no session (it has no ")
-    golden(place)
-    (place / "frames.log").write_text("(1.0) can0 101#43\n(1.0) can\n", encoding="ascii")
-    assert "line 2 is no candump line" in refused("replay", place)
-    for table, key, value in (
-        ("scene", "bundle", "objects/bracket"),
-        ("skin", "layout", "skin.json"),
-    ):
-        golden(place, **{table: {key: value}})
-        told = refused("replay", place)
-        assert told.startswith(f"{table}.{key}: ")
-        assert told.endswith(
-            "; a session does not hold its layout and its bundle: name them in "
-            f"{place}/config.toml, by whole paths, or in another file with --config\n"
-        )
+    write_golden(tmp_path)
+    if tables is not None:
+        golden(tmp_path, **tables)
+    if log:
+        (tmp_path / "frames.log").write_text(log, encoding="ascii")
+    told = refused("replay", tmp_path)
+    assert told.startswith(begin.format(place=tmp_path))
+    assert told.endswith(end.format(place=tmp_path))
 
 
 def test_decode_into_a_closed_pipe_ends_quietly(tmp_path: Path) -> None:
     log = tmp_path / "long.log"
     log.write_text("\n".join([DECLARED, *GOLDEN_SCAN * 5000]) + "\n", encoding="ascii")
-    ran = subprocess.run(
-        f"{sys.executable} -m taxeld.cli decode {log} | head -n 1",
-        shell=True,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.stderr == ""
-    assert ran.stdout.startswith('{"t":0.0')
+    command = f"{sys.executable} -m taxeld.cli decode {log} | head -n 1"
+    ran = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert (ran.stderr, ran.stdout[:9]) == ("", '{"t":0.0,')
 
 
-FLAGS = ["--source", "slcan:{device}", "--bundle", "box", "--poses", "tcp://127.0.0.1:9874"]
+POSES, LAYOUT = "tcp://127.0.0.1:9874", SkinConfig().layout
+LARGE = "cylinder:rows=31,columns=80,radius_m=0.2,pitch_m=0.015"
+FLAGS = ["--source", "slcan:/dev/ttyACM0", "--bundle", "box", "--poses", POSES]
 
 
-@pytest.fixture
-def flags(tmp_path: Path) -> Iterator[list[str]]:
-    ours, theirs = os.openpty()
-    (tmp_path / "ttyACM0").symlink_to(os.ttyname(theirs))
-    yield [flag.format(device=tmp_path / "ttyACM0") for flag in FLAGS]
-    os.close(ours)
-    os.close(theirs)
-
-
-def test_what_is_written_from_options_is_fine(
-    tmp_path: Path, flags: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    path = tmp_path / "skin.toml"
-    assert printed("init", path, *flags).endswith(f"; next: taxeld check {path}\n")
-    assert printed("check", path).startswith(f"{path}: fine")
-    assert "must stand upright, its axis within 0.1 rad of vertical" in path.read_text()
-    config = parse(path.read_text(encoding="utf-8"))
-    assert (config.source.kind, config.source.interface) == ("can", "slcan")
-    assert config.source.channel == str(tmp_path / "ttyACM0")
-    assert config.sensor_pose.endpoint == "tcp://127.0.0.1:9874"
-
-
-def test_an_array_and_a_skin_without_an_object_have_a_configuration(tmp_path: Path) -> None:
-    array, alone = tmp_path / "array.toml", tmp_path / "alone.toml"
-    printed("init", array, *FLAGS[2:4], "--source", "array:ipc:///skin", "--poses", "")
-    source = load(array).source
-    assert (source.kind, source.endpoint) == ("array", "ipc:///skin")
-    layout = SkinConfig().layout
-    printed("init", alone, "--source", "can:can0", "--layout", layout)
-    assert (load(alone).scene.names, load(alone).skin.layout) == ((), layout)
-
-
-def test_a_skin_too_large_for_the_usual_period_gets_one_that_the_bus_carries(
-    tmp_path: Path, flags: list[str]
-) -> None:
-    path = tmp_path / "large.toml"
-    large = "cylinder:rows=31,columns=80,radius_m=0.2,pitch_m=0.015"
-    printed("init", path, *flags, "--layout", large)
-    config = parse(path.read_text(encoding="utf-8"))
-    assert config.source.period_ms == 83
-    live(config.source, layouts.load(large))
-
-
-def test_the_depth_is_that_of_the_bundle(tmp_path: Path) -> None:
-    box = Path(shutil.copytree(bundle.find("box"), tmp_path / "box")) / "bundle.json"
-    box.write_text(re.sub(r'"depth_max_m": [0-9.]+', '"depth_max_m": 0.003', box.read_text()))
-    written = tmp_path / "skin.toml"
-    printed("init", written, "--source", "can:can0", "--bundle", box.parent)
-    config = load(written)
-    assert config.skin.full_scale_depth_m == 0.003
-    loaded = bundle.load(config.scene.bundle, layouts.load(config.skin.layout), 0.003)
-    assert loaded.model.depth_max_m == 0.003
-
-
-def test_each_key_is_there_with_the_documented_words_and_its_default(
-    tmp_path: Path, flags: list[str]
-) -> None:
-    path = tmp_path / "skin.toml"
-    printed("init", path, *flags)
-    text = path.read_text(encoding="utf-8")
-    tables = keys_of(Config)
-    for table in tables:
-        for key in keys_of(get_type_hints(Config)[table.name]):
-            assert f"# {key.metadata['doc']}\n" in text, (table.name, key.name)
-    bare = "\n".join(
-        line.removeprefix("#") if line.startswith("#") and line[1:2] != " " else line
-        for line in text.splitlines()
-    )
-    written = replace(parse(bare), is_sized=False)  # a written number of particles holds
-    assert asdict(written) == asdict(parse(text)), "a default that is written is the code's"
-    assert set(tomllib.loads(bare)) == {table.name for table in tables}
-
-
-def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, flags: list[str]) -> None:
-    path = tmp_path / "skin.toml"
-    path.write_text("mine", encoding="utf-8")
-    assert refused("init", path, *flags).startswith(
-        f"{path}: is there already and is not overwritten"
-    )
-    assert path.read_text(encoding="utf-8") == "mine"
+def box_of(place: Path, pattern: str, changed: str) -> Path:
+    """A copy of the shipped box whose bundle.json says something else."""
+    box = Path(shutil.copytree(bundle.find("box"), place / "box"))
+    text = (box / "bundle.json").read_text(encoding="utf-8")
+    (box / "bundle.json").write_text(re.sub(pattern, changed, text, count=1), encoding="utf-8")
+    return box
 
 
 @pytest.mark.parametrize(
-    ("text", "keys"),
+    ("options", "expected"),
     [
-        ("can:can0", ("can", "socketcan", "can0")),
-        ("slcan:/dev/ttyACM0@3000000", ("can", "slcan", "/dev/ttyACM0@3000000")),
-        ("pcan:PCAN_USBBUS1", ("can", "pcan", "PCAN_USBBUS1")),
-        ("serial:/dev/ttyACM0@115200", ("serial", "socketcan", "/dev/ttyACM0@115200")),
+        (FLAGS, {"scene.bundle": "box", "skin.layout": LAYOUT, "sensor_pose.endpoint": POSES}),
+        (["--source", "can:can0", "--layout", LAYOUT], {"scene.names": (), "skin.layout": LAYOUT}),
+        ([*FLAGS, "--layout", LARGE], {"source.period_ms": 83}),  # that the bus carries
+        (["--source", "can:can0"], {"source.kind": "can", "source.channel": "can0"}),
+        (
+            ["--source", "slcan:/dev/ttyACM0@3000000"],
+            {"source.interface": "slcan", "source.channel": "/dev/ttyACM0@3000000"},
+        ),
+        (
+            ["--source", "pcan:PCAN_USBBUS1"],
+            {"source.kind": "can", "source.interface": "pcan", "source.channel": "PCAN_USBBUS1"},
+        ),
+        (
+            ["--source", "serial:/dev/ttyACM0@115200"],
+            {"source.kind": "serial", "source.channel": "/dev/ttyACM0@115200"},
+        ),
+        (
+            ["--source", "array:ipc:///skin"],
+            {"source.kind": "array", "source.endpoint": "ipc:///skin"},
+        ),
+        (["--source", "can:can0", "--bundle", "{thin}"], {"skin.full_scale_depth_m": 0.003}),
     ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_a_connection_is_one_of_the_daemons_sources(text: str, keys: tuple[str, ...]) -> None:
-    found = SourceConfig(**connection(text, "TARGET"))
-    assert (found.kind, found.interface, found.channel) == keys
+def test_a_configuration_is_written_from_options(
+    tmp_path: Path, options: list[str], expected: dict[str, object]
+) -> None:
+    thin = box_of(tmp_path, r'"depth_max_m": [0-9.]+', '"depth_max_m": 0.003')
+    printed("init", tmp_path / "skin.toml", *(option.format(thin=thin) for option in options))
+    config = load(tmp_path / "skin.toml")
+    assert {key: attrgetter(key)(config) for key in expected} == expected
+
+
+def test_what_is_written_is_fine_and_is_not_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    path, (ours, theirs) = tmp_path / "skin.toml", os.openpty()
+    options = ["--source", f"slcan:{os.ttyname(theirs)}", *FLAGS[2:]]
+    assert printed("init", path, *options).endswith(f"; next: taxeld check {path}\n")
+    text = path.read_text(encoding="utf-8")
+    assert "must stand upright, its axis within 0.1 rad of vertical" in text
+    assert printed("check", path).startswith(f"{path}: fine")
+    assert refused("init", path, *options).startswith(f"{path}: is there already and is not over")
+    assert path.read_text(encoding="utf-8") == text
+    for end in (ours, theirs):
+        os.close(end)
+
+
+def test_each_key_is_there_with_the_documented_words_and_its_default(tmp_path: Path) -> None:
+    path = tmp_path / "skin.toml"
+    printed("init", path, *FLAGS)
+    text, tables = path.read_text(encoding="utf-8"), keys_of(Config)
+    keys = [key for each in tables for key in keys_of(get_type_hints(Config)[each.name])]
+    assert [key.name for key in keys if f"# {key.metadata['doc']}\n" not in text] == []
+    bare = re.sub(r"^#(?! )", "", text, flags=re.MULTILINE)
+    written = replace(parse(bare), is_sized=False)  # a written number of particles holds
+    assert asdict(written) == asdict(parse(text)), "a default that is written is the code's"
+    assert set(tomllib.loads(bare)) == {table.name for table in tables}
 
 
 @pytest.mark.parametrize(
@@ -234,30 +208,23 @@ def test_a_connection_is_one_of_the_daemons_sources(text: str, keys: tuple[str, 
         (["--layout", "cylinder:rowz=5"], "skin.layout: cylinder: rowz: unknown key; did you"),
         (["--source", ""], "--source: '' is no connection; use can:can0, slcan:"),
         (["--poses", "tcp://robot:1"], "sensor_pose.endpoint: 'tcp://robot:1' is not local"),
+        (["--bundle", "{patch}"], "--layout: name the file of patch, for which "),
     ],
 )
 def test_an_option_that_cannot_be_used_is_one_line_and_nothing_is_written(
-    tmp_path: Path, flags: list[str], change: list[str], line: str
+    tmp_path: Path, change: list[str], line: str
 ) -> None:
-    path = tmp_path / "skin.toml"
-    assert refused("init", path, *flags, *change).startswith(line)
-    assert not path.exists()
-
-
-def test_the_layout_of_a_bundle_that_was_built_for_a_file_is_to_be_named(
-    tmp_path: Path, flags: list[str]
-) -> None:
-    box = Path(shutil.copytree(bundle.find("box"), tmp_path / "box")) / "bundle.json"
-    box.write_text(re.sub(r'"name": "cylinder:[^"]*"', '"name": "patch"', box.read_text()))
-    line = refused("init", tmp_path / "skin.toml", *flags, "--bundle", box.parent)
-    assert line.startswith("--layout: name the file of patch, for which ")
+    patch = box_of(tmp_path, '"name": "cylinder:[^"]*"', '"name": "patch"')
+    typed = (option.format(patch=patch) for option in change)
+    assert refused("init", tmp_path / "skin.toml", *FLAGS, *typed).startswith(line)
+    assert not (tmp_path / "skin.toml").exists()
 
 
 def test_a_bundle_is_named_as_seen_from_the_configuration(
-    tmp_path: Path, flags: list[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "bracket").symlink_to(bundle.find("box"))
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    printed("init", "../skin.toml", *flags, "--bundle", tmp_path / "bracket")
+    printed("init", "../skin.toml", *FLAGS, "--bundle", tmp_path / "bracket")
     assert '\nbundle = "bracket"\n' in (tmp_path / "skin.toml").read_text(encoding="utf-8")
