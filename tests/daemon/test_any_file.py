@@ -22,7 +22,6 @@ from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
-from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
 from taxeld.proposals import bundle, manifest
 from taxeld.proposals.analytic import Manifold, Projection, check_contacts
@@ -84,34 +83,30 @@ def used_or_refused(use: Callable[[], object]) -> None:
     assert printed.getvalue() == ""
 
 
-def scene_used(scene: Scene) -> None:
+def scene_used(path: Path) -> None:
     """All that a start computes of a scene."""
-    layout = loaded().model.layout
-    model = ObservationModel(scene, layout, 0.005)
+    scene = manifest.parse_scene(path.read_bytes(), path.parent)
+    model, rng = ObservationModel(scene, loaded().model.layout, 0.005), np.random.default_rng(0)
     check_contacts(model)
-    z, live, rng = np.eye(1, len(layout))[0], np.ones(len(layout), bool), np.random.default_rng(0)
-    for make in (Projection, Manifold):
-        assert np.isfinite(make(model).propose(z, live, 5, rng)).all()
-    assert np.isfinite(PoseMetric(scene).arm_m)
-    assert np.isfinite([scene.size, scene.mean_radius]).all()
+    z, live = np.eye(1, len(model.layout))[0], np.ones(len(model.layout), bool)
+    drawn = [make(model).propose(z, live, 5, rng).sum() for make in (Projection, Manifold)]
+    assert np.isfinite([*drawn, PoseMetric(scene).arm_m, scene.size, scene.mean_radius]).all()
 
 
 def manifest_used(path: Path) -> None:
     """All that is asked of bundle.json after it was read."""
-    made = manifest.parse(path.read_bytes(), path.parent)
-    found = replace(loaded(), manifest=made)
+    found = replace(loaded(), manifest=manifest.parse(path.read_bytes(), path.parent))
     for name in (*PROPOSALS, *found.order):
         used_or_refused(lambda name=name: found.resolve(name))  # type: ignore[misc]
-    for sampler in made.samplers:
-        assert found.resolve(sampler.name) == sampler.name
+    names = [sampler.name for sampler in found.manifest.samplers]
+    assert [*map(found.resolve, names)] == names
     messages.info(found.model.layout, bundle.scenes([found]), str(FilterConfig()))
 
 
 def layout_used(path: Path) -> None:
     skin = layouts.read(str(path))
     assert len(skin) == len(set(skin.uid.tolist())) > 0
-    assert np.isfinite(skin.position_m).all()
-    assert np.isfinite(skin.frame).all()
+    assert np.isfinite([*skin.position_m, *skin.frame[:, :3]]).all()
 
 
 def session_used(path: Path) -> None:
@@ -134,13 +129,8 @@ def frames_made(place: Path) -> list[bytes]:
     return [(place / "made").read_bytes()]
 
 
-def keys_made(place: Path) -> list[bytes]:
-    create_certificates(place, "made")
-    return [(place / "made.key_secret").read_bytes()]
-
-
-def there(path: Path) -> Callable[[Path], list[bytes]]:
-    return lambda _: [path.read_bytes()]
+def there(*paths: Path) -> Callable[[Path], list[bytes]]:
+    return lambda _: [path.read_bytes() for path in paths]
 
 
 TABLE = table_of(layouts.load(SkinConfig().layout), uid=True).encode()
@@ -148,15 +138,10 @@ READERS = {  # by the name of the file
     "a.log": Reader(lambda path: list(decode(path)), frames_made),
     "any.toml": Reader(load, there(ROOT / "examples" / "can0.toml")),
     "scenario.toml": Reader(
-        lambda path: scenario.load(str(path)),
-        lambda _: [path.read_bytes() for path in scenario.shipped().values()],
+        lambda path: scenario.load(str(path)), there(*scenario.shipped().values())
     ),
     "bundle.json": Reader(manifest_used, there(SHIPPED / "bundle.json")),
-    "scene.npz": Reader(
-        lambda path: scene_used(manifest.parse_scene(path.read_bytes(), path.parent)),
-        there(SHIPPED / "scene.npz"),
-        30,
-    ),
+    "scene.npz": Reader(scene_used, there(SHIPPED / "scene.npz"), 30),
     "sampler.onnx": Reader(
         lambda path: Sampler(path.read_bytes(), loaded().model.layout, "density", path.parent),
         there(SHIPPED / "density-16.onnx"),
@@ -173,7 +158,9 @@ READERS = {  # by the name of the file
         session_used,
         lambda _: [b"version = 1\nframes = 0\nchunks = 265\nbytes = 47173\nposes = 1017\n"],
     ),
-    "key": Reader(key_used, keys_made),
+    "key": Reader(
+        key_used, lambda place: [Path(create_certificates(place, "made")[1]).read_bytes()]
+    ),
 }
 
 
