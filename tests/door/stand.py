@@ -37,7 +37,9 @@ class Stand(Sockets):
         super().__init__()
         self.stream, self.control = f"ipc://{place}/stream", f"ipc://{place}/control"
         served = {"publish": (self.stream,), "control": self.control, "queue": QUEUE} | settings
-        self.other = "".join(served.get("relay_publish", ())[:1])
+        own = [key for key in served if key.startswith("relay_")]  # of the relay
+        relay = {key.removeprefix("relay_"): served.pop(key) for key in own}
+        self.other = "".join(relay.get("publish", ())[:1])
         self.poses: list[tuple[Any, ...]] = []  # (t, x, y, θ, when it came, link)
         self.done: list[str] = []
         changes: dict[str, Any] = {
@@ -47,8 +49,9 @@ class Stand(Sockets):
         changes["prior"] = self._prior
         given = INFO, lambda *pose: self.poses.append(pose), changes
         self.link = Link(*given, Link(*given))
-        self.keepers = [Doorkeeper(each) for each in Settings(**served).doors]
-        self.keeper, self.relay = self.keepers
+        relay |= {"is_relay": True, "queue": QUEUE, "keys": served.get("keys", "")}
+        self.keeper, self.relay = (Doorkeeper(Settings(**each)) for each in (served, relay))
+        self.keepers = [self.keeper, self.relay]
         self._next_estimate_s = 0.0
         self.sent = 0
         for keeper in self.keepers:

@@ -135,6 +135,11 @@ def packed_error(error: str) -> bytes:
     return made
 
 
+def for_all(change: bool) -> MayChange:
+    """Over TCP everybody may change something, or nobody."""
+    return lambda _: "" if change else "not over TCP: relay.change is false"
+
+
 def for_members(group: str) -> MayChange:
     """Who may change something at an ipc endpoint: root, the daemon's own user, and members of the
     group, as the kernel knew them when they connected. The function gives the reason for a refusal

@@ -18,7 +18,7 @@ import zmq
 from taxeld.config import endpoints
 from taxeld.door import settings as limits
 from taxeld.door.binding import NotNowError, bound
-from taxeld.door.control import Control, MayChange, for_members, packed_error, packed_ok
+from taxeld.door.control import Control, for_all, for_members, packed_error, packed_ok
 from taxeld.door.heard import Array, Pose, Robot
 from taxeld.door.settings import REFUSED, Settings
 from taxeld.door.streams import Streams
@@ -37,6 +37,7 @@ SILENT_S = 2.0  # without an estimate for so long, the loop hangs
 NOTHING = b"\x80"  # an empty map
 DOMAIN = "taxeld"  # of ZAP: where keys are taken
 AGAIN = "it is tried again each second"
+BY_IPC, OVER_TCP = ("publish.endpoints", "control.endpoint"), ("relay.publish", "relay.control")
 
 Named = tuple[zmq.Socket[Any], str, str]  # with its endpoint, and their key
 
@@ -100,20 +101,21 @@ class Door:
             SetupError: an endpoint or a key cannot be used.
         """
         settings, context = self._settings, self._context
-        served = (*settings.relay_publish, settings.relay_control)
+        served = (*settings.publish, settings.control)
         keys = curve.read_keys(settings.keys, settings.robot, served)
         if keys is not None and keys.clients:
             self._admission = Admission(context, keys)
-        for key, named in (
-            ("publish.endpoints", settings.publish),
-            ("relay.publish", settings.relay_publish),
-        ):
-            for endpoint in named:
-                self._streams.append(Streams(context, settings.queue))
-                self._serve(self._streams[-1].socket, endpoint, key)
-        self._answer(settings.control, "control.endpoint", for_members(settings.change_group))
-        refused = "" if settings.relay_change else "not over TCP: relay.change is false"
-        self._answer(settings.relay_control, "relay.control", lambda _: refused)
+        stream_key, control_key = OVER_TCP if settings.is_relay else BY_IPC
+        for endpoint in settings.publish:
+            self._streams.append(Streams(context, settings.queue))
+            self._serve(self._streams[-1].socket, endpoint, stream_key)
+        if settings.control:
+            answers = {"status": self._on_status, "info": self._on_info, "memory": self._on_memory}
+            may_change = for_members(settings.change_group)
+            if settings.is_relay:
+                may_change = for_all(settings.change)
+            self._controls.append(Control(context, answers, self._pass_on, may_change))
+            self._serve(self._controls[-1].socket, settings.control, control_key)
         if settings.robot:
             self._robot = Robot(context, settings.robot, self._on_poses, keys, settings.topics)
             self._report.robot = self._robot.line
@@ -136,12 +138,6 @@ class Door:
             self._admission.close()
         self._context.destroy(linger=0)
         self._bound.close()
-
-    def _answer(self, endpoint: str, key: str, may_change: MayChange) -> None:
-        if endpoint:
-            answers = {"status": self._on_status, "info": self._on_info, "memory": self._on_memory}
-            self._controls.append(Control(self._context, answers, self._pass_on, may_change))
-            self._serve(self._controls[-1].socket, endpoint, key)
 
     def _serve(self, socket: zmq.Socket[Any], endpoint: str, key: str) -> None:
         """A TCP address that may be had later is tried again; the rest is served meanwhile."""

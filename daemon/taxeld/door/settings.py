@@ -2,7 +2,7 @@
 
 import resource
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 REFUSED = 2  # exit status of a door that cannot serve
 OOM_SCORE = 1000  # where memory is short, the door goes first, however little it has
@@ -22,32 +22,25 @@ LIMITS = {
 class Settings:
     """Endpoints, and who may use them; an empty one is not served, or not heard."""
 
-    publish: Sequence[str] = ()  # ipc
-    control: str = ""  # ipc
-    change_group: str = ""  # its members may change something at `control`
+    publish: Sequence[str] = ()
+    control: str = ""
+    is_relay: bool = (
+        False  # the two are of TCP, else of ipc: peers over TCP have a door of their own
+    )
+    change: bool = False  # whether changes are taken over TCP
+    change_group: str = ""  # its members may change something by ipc
     robot: str = ""  # where the sensor's poses come from
     topics: Sequence[str] = ()  # of the links' poses, where there are several
     array: str = ""  # where arrays come from
     queue: int = 40  # messages that wait for a slow subscriber
-    relay_publish: Sequence[str] = ()  # TCP
-    relay_control: str = ""  # TCP
-    relay_change: bool = False  # changes are taken there
     estimates: bool = True  # there is an object, of which estimates are published
     keys: str = ""  # directory of CURVE's keys; empty: none
 
     @property
     def is_needed(self) -> bool:
         """Whether there is anything to serve or to hear, or keys that must be looked at."""
-        named = (*self.publish, *self.relay_publish, self.control, self.relay_control)
-        return any((*named, self.robot, self.array, self.keys))
-
-    @property
-    def doors(self) -> "tuple[Settings, Settings]":
-        """Of two doors: peers over TCP have the second to themselves, so that nothing that they do
-        costs the robot, or who comes by a socket file, anything."""
-        here = replace(self, relay_publish=(), relay_control="")
-        keys = self.keys if self.relay_publish or self.relay_control else ""
-        return here, replace(self, publish=(), control="", robot="", array="", keys=keys)
+        looked_at = self.keys and not self.is_relay
+        return any((*self.publish, self.control, self.robot, self.array, looked_at))
 
 
 def limit() -> None:

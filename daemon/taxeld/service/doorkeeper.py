@@ -148,21 +148,27 @@ class Doorkeeper:
 
 
 def settings_of(config: Config) -> tuple[Settings, Settings]:
-    """What a configuration asks of its two doors (`Settings.doors`)."""
+    """What a configuration asks of the door, and of the relay."""
     scans_hz = 1000.0 / config.source.period_ms
     messages_hz = 2.0 * scans_hz + max(config.publish.rate_hz, scans_hz)
-    asked = replace(
+    queue = max(round(QUEUE_S * messages_hz), QUEUE_LEAST)
+    door = replace(
         poses_alone(config),
         publish=config.publish.endpoints,
         control=config.control.endpoint,
         change_group=CHANGE_GROUP,
-        queue=max(round(QUEUE_S * messages_hz), QUEUE_LEAST),
-        relay_publish=config.relay.publish,
-        relay_control=config.relay.control,
-        relay_change=config.relay.change,
+        queue=queue,
         estimates=bool(config.scene.names),
     )
-    return asked.doors
+    return door, Settings(
+        publish=config.relay.publish,
+        control=config.relay.control,
+        is_relay=True,
+        change=config.relay.change,
+        queue=queue,
+        estimates=door.estimates,
+        keys=config.curve.directory,
+    )
 
 
 def poses_alone(config: Config) -> Settings:
