@@ -110,21 +110,28 @@ def test_who_sends_too_large_a_frame_is_hung_up_on(tmp_path: Path, kind: int) ->
     [
         ("subscribe_and_leave", 1, 100),
         pytest.param("subscribe_and_leave", 3, 600, marks=pytest.mark.check),
-        pytest.param("endless_to_stream", 7, 600, marks=pytest.mark.check),
+        pytest.param("endless_to_stream", 3, 600, marks=pytest.mark.check),
         pytest.param("unique_subscriptions", 3, 600, marks=pytest.mark.check),
     ],
 )
 def test_a_flood_costs_those_who_come_by_the_other_door_no_estimate(
     stand: Stand, attack: str, copies: int, estimates: int
 ) -> None:
-    honest = stand.listener(topics.ESTIMATE)
+    honest, flooded = (
+        stand.listener(topics.ESTIMATE, endpoint=at) for at in (stand.stream, stand.other)
+    )
+    stand.received(flooded)
     first = seq(stand.received(honest))
     with contextlib.ExitStack() as flood:
         for _ in range(copies):
             flood.enter_context(attacked(attack, stand.other))
         heard = [seq(stand.received(honest)) for _ in range(estimates)]
     assert heard == list(range(first + 1, first + 1 + estimates))
-    stand.received(stand.listener(topics.ESTIMATE, endpoint=stand.other))
+    came = 0
+    while seq(stand.received(flooded)) < heard[-1]:
+        came += 1
+    # `pytest -rP` shows it
+    print(f"{copies} × {attack}: {1 - came / estimates:.0%} lost at that door")  # noqa: T201
 
 
 MOST_BYTES = 160 << 20
