@@ -23,10 +23,10 @@ from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Activation
 from taxeld.proposals import bundle
+from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
 
 ROUNDS, TOUCHES, SCANS = 7, 20, 60
 SATURATED_FRAMES_S = 9_000  # most frames of 8 bytes on a bus of 1 Mbit/s

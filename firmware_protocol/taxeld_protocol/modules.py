@@ -7,9 +7,8 @@ sends as many channels as its mask has bits. Channel k is the k-th set bit of th
 the temperature T0; a taxel's UID is `SUI << 4 | name`.
 """
 
-import struct
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 
 from taxeld_protocol import commands
 from taxeld_protocol.cyskin import Command
@@ -175,22 +174,6 @@ class ModuleTable:
 def is_of_bootloader(command: int, payload: bytes) -> bool:
     """Whether the answer is of a hub whose modules are in their bootloader."""
     return BOOTLOADER_BYTES.get(command) == len(payload)  # type: ignore[call-overload,no-any-return]
-
-
-def encode_details(index: int, module: Module, *, channels: int | None = None) -> bytes:
-    """The MODULE_DETAILS answer of a module whose serial number is known; it tells `channels` where
-    given, else the number that the module sends."""
-    if module.sui is None:
-        raise ValueError(f"module {index} has no serial number")
-    told = module if channels is None else replace(module, channels=channels)
-    return commands.answer(Command.MODULE_DETAILS, module=index, **asdict(told))
-
-
-def encode_bootloader_details(index: int, module: Module) -> bytes:
-    """The MODULE_DETAILS answer of a module in its bootloader."""
-    if module.sui is None:
-        raise ValueError(f"module {index} has no serial number")
-    return struct.pack(">BI", index, module.sui)
 
 
 def listed(pairs: Iterable[tuple[int, int]]) -> list[Module]:

@@ -8,6 +8,7 @@ is how many packets get through in each of the bad cases. The rest comes from th
 import binascii
 import json
 import random
+import struct
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -16,12 +17,11 @@ from typing import Any
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))  # the package beside this folder, installed or not
 
-from taxeld_protocol import cyskin, serial_link  # noqa: E402
-from taxeld_protocol.cyskin import Command, Packet, Reassembler  # noqa: E402
+from taxeld_protocol import commands, cyskin, serial_link  # noqa: E402
+from taxeld_protocol.cyskin import MAX_VALUES, Command, Packet, Reassembler  # noqa: E402
 from taxeld_protocol.frames import Frame, parse_log_line  # noqa: E402
-from taxeld_protocol.modules import Module, encode_details  # noqa: E402
+from taxeld_protocol.modules import Module  # noqa: E402
 from taxeld_protocol.serial_link import SerialReader  # noqa: E402
-from taxeld_protocol.virtual_ihb import Phase, VirtualIhb  # noqa: E402
 
 Case = dict[str, Any]
 
@@ -93,8 +93,12 @@ def _packet_case(name: str, ihb: int, command: int, payload: bytes) -> Case:
 
 
 def _sensor_case(name: str, channels: list[int], counts: list[int]) -> Case:
-    hub = VirtualIhb([Module(n) for n in channels])
-    packets = [_hex(cyskin.encode(*answer)) for answer in hub.sensor_data(counts)]
+    places = [bytes((m, c)) for m, n in enumerate(channels) for c in range(n)]
+    packets = []
+    for at in range(0, len(counts), MAX_VALUES):
+        values = counts[at : at + MAX_VALUES]
+        payload = places[at] + struct.pack(f">{len(values)}H", *values)
+        packets.append(_hex(cyskin.encode(Command.SENSOR_DATA, payload)))
     return {"name": name, "channels": channels, "counts": counts, "packets": packets}
 
 
@@ -122,9 +126,8 @@ def _answer_cases() -> Case:
     """DECLARE of modules with these channel counts, and MODULE_DETAILS of single modules."""
     declare = []
     for channels in ([], [12], [11, 0, 8], [12] * 248):
-        hub = VirtualIhb([Module(n) for n in channels], phase=Phase.RUNNING)
-        [answer] = hub.answer(Packet(0.0, 1, Command.DECLARE, b""))
-        declare.append({"channels": channels, "packet": _hex(cyskin.encode(*answer))})
+        packet = cyskin.encode(Command.DECLARE, bytes((len(channels), 0, *channels)))
+        declare.append({"channels": channels, "packet": _hex(packet)})
     details = []
     for index, module in [
         (0, Module(11, 1, 0x7FF)),
@@ -133,7 +136,7 @@ def _answer_cases() -> Case:
         (9, Module(8, 0xDCF, 0x76D, 0x50)),  # cut; either number of channels may be told,
         (9, Module(12, 0xDCF, 0x76D, 0x50)),  # the module sends 8 channels
     ]:
-        payload = encode_details(index, module)
+        payload = commands.answer(Command.MODULE_DETAILS, module=index, **asdict(module))
         packet = _hex(cyskin.encode(Command.MODULE_DETAILS, payload))
         details.append({"index": index, **asdict(module), "packet": packet})
     return {"declare": declare, "details": details}

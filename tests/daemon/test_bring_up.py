@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from taxeld.source.bring_up import SHORT_IDS, BringUp
+from taxeld_hil.rig.virtual_ihb import Answer, Phase, VirtualIhb
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command, ErrorCode, Packet
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import Module, listed, wired
-from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig.virtual_hub import LateHub, StuckHub, told
 
 UIDS = [i // 10 + 1 << 4 | i % 10 + 1 for i in range(30)]

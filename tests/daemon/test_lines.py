@@ -23,11 +23,11 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.sources import LiveSource
 from taxeld_hil.rig.adapters import Adapter
 from taxeld_hil.rig.ports import SlcanPort
+from taxeld_hil.rig.virtual_ihb import Answer, Phase
 from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.slcan import BITRATES
-from taxeld_protocol.virtual_ihb import Answer, Phase
 from tests.rig.adapters import KINDS
 from tests.rig.clocks import until
 from tests.rig.far_end import FarEnd, LateAdapter

@@ -16,10 +16,10 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source import modules
 from taxeld.source.sources import LiveSource
+from taxeld_hil.rig.virtual_ihb import Answer, Phase, VirtualIhb
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import Module, listed
-from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig import skins
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import QUIET, configuration

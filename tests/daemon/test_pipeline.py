@@ -23,8 +23,8 @@ from taxeld.proposals import choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
+from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_protocol.decoder import Scan
-from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.configurations import configuration
 from tests.rig.examples import examples
 from tests.rig.recorded import write_session

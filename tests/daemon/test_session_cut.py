@@ -17,10 +17,10 @@ from taxeld.errors import SetupError
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Item
+from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.array import FULL, REST, ArrayFrame
 from taxeld_protocol.frames import Chunk, Frame
-from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.configurations import config
 from tests.rig.sessions import poses_of, read
 from tests.rig.skins import CHANNELS, MODULES, SKIN

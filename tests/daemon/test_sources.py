@@ -29,9 +29,9 @@ from taxeld.source.opening import open_device
 from taxeld.source.recorder import Recorder
 from taxeld.source.socketcan import SocketCanDevice
 from taxeld.source.sources import LiveSource, least_period_ms
+from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.conversations import NAMES, hold_host, load
 from tests.rig.given_device import GivenDevice
 from tests.rig.sessions import items_of

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from taxeld.commands.decode import decode
 from taxeld.source import session
+from taxeld_hil.rig.virtual_ihb import Phase, VirtualIhb
 from taxeld_protocol import commands, cyskin
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command, Packet
 from taxeld_protocol.modules import listed
-from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 from tests.pages import FENCED
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.commands import printed

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from taxeld_hil.rig.virtual_ihb import HubLink, Phase, VirtualIhb
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import listed
-from taxeld_protocol.virtual_ihb import HubLink, Phase, VirtualIhb
 from tests.rig.conversations import FOLDER, NAMES, Conversation, Line, hold_device, load
 
 from .c_side import C, compile_c

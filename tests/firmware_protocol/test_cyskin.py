@@ -1,9 +1,12 @@
 """Packets and their fragments on CAN."""
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taxeld_protocol import commands
 from taxeld_protocol.cyskin import (
     FRAGMENT_BYTES,
     LEAVE_BOOTLOADER,
@@ -127,3 +130,20 @@ def test_log_lines_round_trip(t: float, can_id: int, data: bytes) -> None:
 )
 def test_what_is_no_log_line_is_none(text: str) -> None:
     assert parse_log_line(text) is None
+
+
+SIDES = [
+    (commands.REQUESTS, commands.request, commands.parse_request),
+    (commands.ANSWERS, commands.answer, commands.parse_answer),
+]
+
+
+@pytest.mark.parametrize(("table", "encode", "decode"), SIDES, ids=["requests", "answers"])
+def test_the_fields_of_every_command_round_trip_and_another_length_is_none(
+    table: commands.Table, encode: Any, decode: Any
+) -> None:
+    for command, (_, names) in table.items():
+        fields = {name: i + 1 for i, name in enumerate(names)}
+        payload = encode(command, **fields)
+        assert decode(command, payload) == fields
+        assert decode(command, payload + b"\0") is decode(command, payload[:-1]) is None

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taxeld_hil.rig.virtual_ihb import VirtualIhb, details
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.decoder import MISSING, Decoder, Scan
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import Module, ModuleTable, encode_details, wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from taxeld_protocol.modules import Module, ModuleTable, wired
 
 MODULES = wired([(i // 10 + 1) << 4 | (i % 10 + 1) for i in range(250)])  # 275 channels, 3 packets
 CHANNELS = sum(m.channels for m in MODULES)
@@ -49,8 +49,8 @@ def test_the_table_comes_from_declare_and_details() -> None:
     decoder = Decoder()
     feed(decoder, Command.DECLARE, bytes((2, 0, 3, 11)))
     assert not decoder.table(1).detailed
-    feed(decoder, Command.MODULE_DETAILS, encode_details(0, Module(3, 0x1234, 0b1000_0000_0011)))
-    feed(decoder, Command.MODULE_DETAILS, encode_details(1, Module(11, 7, 0x7FF)))
+    feed(decoder, Command.MODULE_DETAILS, details(0, Module(3, 0x1234, 0b1000_0000_0011)))
+    feed(decoder, Command.MODULE_DETAILS, details(1, Module(11, 7, 0x7FF)))
     table = decoder.table(1)
     assert table.detailed
     assert table.modules[0].uids == [0x12340, 0x12341, 0x1234B]  # T0, T1 and T11 are uncut

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taxeld_hil.rig.virtual_ihb import Phase, VirtualIhb, details
 from taxeld_protocol.cyskin import MAX_VALUES, Command, Packet
 from taxeld_protocol.decoder import Decoder
-from taxeld_protocol.modules import ABSENT_UID, Module, ModuleTable, encode_details, listed
-from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
+from taxeld_protocol.modules import ABSENT_UID, Module, ModuleTable, listed
 
 CUT = 0x76D  # the mask of a public patch's only cut module, its tenth
 READINGS = {"possible": 12, "sent": None}  # what MODULE_DETAILS may tell of its channels
@@ -87,10 +87,10 @@ def test_nothing_is_known_past_a_module_that_was_not_told() -> None:
     """Where its channels end, and the next module's begin, nobody can say."""
     table = ModuleTable()
     for index in (0, 2):
-        table.on_details(encode_details(index, Module(12, index + 1, 0xFFF)))
+        table.on_details(details(index, Module(12, index + 1, 0xFFF)))
     assert [module.sui for module in table.modules] == [1]
     assert not table.detailed
-    table.on_details(encode_details(1, Module(12, 2, CUT), channels=12))
+    table.on_details(details(1, Module(12, 2, CUT), 12))
     assert [(module.sui, module.channels) for module in table.modules] == [(1, 12), (2, 8), (3, 12)]
     assert table.detailed
 

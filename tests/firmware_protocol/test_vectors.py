@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
+from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.cyskin import Command, Packet, Reassembler
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.frames import Frame, parse_log_line
 from taxeld_protocol.modules import Module, ModuleTable
 from taxeld_protocol.serial_link import SerialReader
-from taxeld_protocol.virtual_ihb import VirtualIhb
 
 FOLDER = Path(__file__).parents[2] / "firmware_protocol" / "vectors"
 VECTORS: dict[str, list[Any]] = json.loads((FOLDER / "cyskin.json").read_text(encoding="utf-8"))

@@ -17,6 +17,7 @@ from taxeld.proposals.samples import Samples
 from taxeld.source.recorder import Recorder
 from taxeld_hil.calibration.presses import Observer, Presses
 from taxeld_hil.grade.grade import Grade
+from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
@@ -26,7 +27,6 @@ from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.subjects import Subject
 from taxeld_hil.world.world import IDLE_S, World
 from taxeld_protocol.modules import wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.virtual_hub import frames_of, told
 
 DEMO = scenario.load("demo")

@@ -16,10 +16,10 @@ from taxeld.source.recorder import Recorder
 from taxeld_hil import cli, rules
 from taxeld_hil.acceptance import checks
 from taxeld_hil.acceptance.recorded import RecordedSkin
+from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module, wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.commands import refused
 from tests.rig.simulated_skin import PERIOD_S, SimulatedSkin
 from tests.rig.virtual_hub import frames_of, told

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from taxeld.commands.decode import decode
+from taxeld_hil.rig.virtual_ihb import VirtualIhb, details
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
-from taxeld_protocol.modules import Module, encode_details
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from taxeld_protocol.modules import Module
 from tests.rig.virtual_hub import frames_of
 
 MODULES = [Module(12, 0x51, 0xFFF), Module(11, 0x37, 0x7FF)]
@@ -32,8 +32,7 @@ def bus(scans: int = 6) -> list[Frame]:
     hub, frames = VirtualIhb(MODULES), list[Frame]()
     packets = [(cyskin.Command.DECLARE, bytes((2, 0, 12, 11)))]
     packets += [
-        (cyskin.Command.MODULE_DETAILS, encode_details(i, module))
-        for i, module in enumerate(MODULES)
+        (cyskin.Command.MODULE_DETAILS, details(i, module)) for i, module in enumerate(MODULES)
     ]
     frames += frames_of(packets)
     frames.append(Frame(0.0, 0x18DAF110, b"\x01\x02", extended=True))

@@ -12,8 +12,8 @@ import msgpack
 import numpy as np
 
 from taxeld.stream import client
+from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_protocol.frames import format_log_line
-from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.clocks import until
 from tests.rig.configurations import QUIET, Table, configuration
 from tests.rig.skins import CHANNELS, MODULES

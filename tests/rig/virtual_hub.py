@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Self
 
 from taxeld_hil.rig.ports import NativePort, SlcanPort
+from taxeld_hil.rig.virtual_ihb import Answer, Phase, VirtualIhb
 from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.cyskin import (
     ALL_MODULES,
@@ -17,7 +18,6 @@ from taxeld_protocol.cyskin import (
 )
 from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.modules import Module
-from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig.adapters import KINDS
 
 Counts = Sequence[int | None]

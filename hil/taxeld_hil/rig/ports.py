@@ -22,12 +22,12 @@ import zmq
 from taxeld.door.binding import bound
 from taxeld.errors import SetupError
 from taxeld_hil.rig.adapters import Adapter
+from taxeld_hil.rig.virtual_ihb import HubLink
 from taxeld_protocol import slcan
 from taxeld_protocol.array import ArrayFrame, line_of
 from taxeld_protocol.cyskin import BROADCAST, Command, Packet
 from taxeld_protocol.frames import Chunk, Frame
 from taxeld_protocol.serial_link import SerialReader
-from taxeld_protocol.virtual_ihb import HubLink
 
 READ_BYTES = 65536
 OUTBOX_BYTES = 65536  # beyond what the kernel takes: some tenths of a second of a saturated bus

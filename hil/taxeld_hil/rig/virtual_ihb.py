@@ -7,7 +7,7 @@ sends no scan. Of the commands it does those that a bring-up needs, a cut of tax
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from enum import IntEnum
 from types import MappingProxyType
 
@@ -23,13 +23,7 @@ from taxeld_protocol.cyskin import (
     Reassembler,
 )
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import (
-    ALL_NAMES,
-    NAMES,
-    Module,
-    encode_bootloader_details,
-    encode_details,
-)
+from taxeld_protocol.modules import ALL_NAMES, NAMES, Module
 
 DEFAULT_PERIOD_MS = 50
 BRIEF_S = 1e-6  # sums of periods are not exact
@@ -210,8 +204,15 @@ class VirtualIhb:
 
     def _details(self, index: int, module: Module) -> bytes:
         if self.phase < Phase.RUNNING:
-            return encode_bootloader_details(index, module)
-        return encode_details(index, module, channels=self._details_channels)
+            return struct.pack(">BI", index, module.sui)
+        return details(index, module, self._details_channels)
+
+
+def details(index: int, module: Module, channels: int | None = None) -> bytes:
+    """The MODULE_DETAILS answer of a module whose serial number is known; it tells `channels` where
+    given, else the number that the module sends."""
+    told = module if channels is None else replace(module, channels=channels)
+    return commands.answer(Command.MODULE_DETAILS, module=index, **asdict(told))
 
 
 def _runs(counts: Sequence[int | None]) -> Iterator[tuple[int, list[int]]]:
