@@ -1,6 +1,7 @@
 """CySkin frames → scans: reassembly, the module table as traffic tells it, the SENSOR_DATA walk."""
 
 import struct
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import accumulate
@@ -104,9 +105,8 @@ class Decoder:
         self.link = Reassembler()
         self.line = SerialReader()
         self.counters = Counters()
-        self.hubs: dict[int, _Hub] = {}
+        self.hubs: defaultdict[int, _Hub] = defaultdict(_Hub)
         self._assumed = assumed
-        self._versions = 0  # first version of the next hub's table
         self._period_s = period_s
         self._gap_s = GAP_SHARE * period_s
 
@@ -120,11 +120,15 @@ class Decoder:
         faults = ((ihb, hub.table.fault) for ihb, hub in self.hubs.items())
         return next((f"hub {ihb} is refused: {fault}" for ihb, fault in faults if fault), "")
 
+    @property
+    def tables(self) -> dict[int, list[Module]]:
+        """Short id → modules, of the hubs that told any; a hub may be refused for what it told."""
+        return {ihb: hub.table.modules for ihb, hub in self.hubs.items() if hub.table.modules}
+
     def forget(self, ihb: int) -> None:
-        """Forget the declarations under a short id: another hub has it now."""
-        hub = self.hubs.pop(ihb, None)
-        if hub is not None:  # the next table under this id must have a version of its own
-            self._versions = max(self._versions, hub.table.version + 1)
+        """Forget the declarations under a short id: another hub has it now. The next table under
+        this id has a version of its own."""
+        self.hubs[ihb] = _Hub(ModuleTable(version=self.hubs[ihb].table.version + 1))
 
     def take(self, items: Iterable[Frame | Chunk]) -> Iterator[tuple[Packet, list[Scan]]]:
         """The packets that frames of a bus, or bytes of a line, complete, and the scans that each
@@ -151,7 +155,7 @@ class Decoder:
         if command == Command.SENSOR_DATA:
             return self._sensor_data(packet)
         if packet.ihb != cyskin.BROADCAST and command in (Command.DECLARE, Command.MODULE_DETAILS):
-            table = self._hub(packet.ihb).table
+            table = self.hubs[packet.ihb].table
             self.counters.bootloader += is_of_bootloader(command, packet.payload)
             take = table.on_declare if command == Command.DECLARE else table.on_details
             if not take(packet.payload):
@@ -183,7 +187,7 @@ class Decoder:
         payload = packet.payload
         if not payload:
             return []  # the host's request
-        hub = self._hub(packet.ihb)
+        hub = self.hubs[packet.ihb]
         if self._assumed is not None and not hub.asked:
             hub.asked = True
             if not hub.table.detailed:
@@ -216,11 +220,6 @@ class Decoder:
         if hub.reached == hub.channels:
             self._end(packet.ihb, hub, scans)
         return scans
-
-    def _hub(self, ihb: int) -> _Hub:
-        if ihb not in self.hubs:
-            self.hubs[ihb] = _Hub(ModuleTable(version=self._versions))
-        return self.hubs[ihb]
 
     @staticmethod
     def _assume(hub: _Hub, modules: Sequence[Module]) -> None:

@@ -98,10 +98,6 @@ class ModuleTable:
         """There are modules, and all of them are known so."""
         return self.declared and self.complete
 
-    @property
-    def channels(self) -> int:
-        return sum(module.channels for module in self.modules)
-
     def on_declare(self, payload: bytes) -> bool:
         """Take a DECLARE answer: `count | first | channels…`. False if it is malformed.
 

@@ -29,6 +29,7 @@ DECLARED = "501#3C0301000C8C"  # one module of 12 channels
 
 def test_decode_loses_only_what_is_damaged_and_counts_every_frame(tmp_path: Path) -> None:
     damage = [
+        DECLARED,
         "101#431A0000",  # half a packet, cut short by the next first fragment
         *GOLDEN_SCAN,
         "201#0011223344556677",  # orphan
@@ -38,7 +39,6 @@ def test_decode_loses_only_what_is_damaged_and_counts_every_frame(tmp_path: Path
         "18DAF110#0102",
         "not a frame",
         *GOLDEN_SCAN,
-        DECLARED,
     ]
     log = tmp_path / "damaged.log"
     log.write_text("\n".join(damage) + "\n(17000", encoding="ascii")

@@ -10,7 +10,6 @@ import pytest
 from taxeld.commands.decode import LINE_MAX, decode, of_session
 from tests.rig.commands import refused
 from tests.rig.log_writers import (
-    BEFORE_SCANS,
     WRITERS,
     bus,
     candump_log,
@@ -100,11 +99,9 @@ def test_the_bytes_of_a_recorded_serial_line_are_decoded_with_their_times() -> N
 
 
 def test_a_log_of_any_length_takes_the_same_memory(tmp_path: Path) -> None:
-    """Also where it declares its modules at its end: of such a log the beginning waits."""
     log, peaks = tmp_path / "frames.log", []
     for scans in (200, 2000):
-        frames = bus(scans)
-        candump_log()(frames[BEFORE_SCANS:] + frames[:BEFORE_SCANS], log)
+        candump_log()(bus(scans), log)
         tracemalloc.start()
         assert sum(1 for _ in decode(log)) == scans + 1
         peaks.append(tracemalloc.get_traced_memory()[1])

@@ -23,7 +23,7 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.sources import LiveSource
 from taxeld_hil.rig.adapters import Adapter
 from taxeld_hil.rig.ports import SlcanPort
-from taxeld_hil.rig.virtual_ihb import Answer, Phase
+from taxeld_hil.rig.virtual_ihb import Answer, Phase, VirtualIhb
 from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.serial_link import SerialReader
@@ -33,31 +33,42 @@ from tests.rig.clocks import until
 from tests.rig.far_end import FarEnd, LateAdapter
 from tests.rig.sessions import items_of
 from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
-from tests.rig.virtual_hub import LateHub, VirtualHub
+from tests.rig.virtual_hub import LateHub, StuckHub, VirtualHub
 
 TICK_S = 0.01
 NATIVE = "native"
 
 adapters = pytest.mark.parametrize("kind", KINDS)
+LISTENING: dict[str, Any] = {"listen_only": True, "modules": LISTED}
 transports = pytest.mark.parametrize("kind", ["plain", NATIVE])
 
 
-class ServedSkin:
+class ServedSkin(ExitStack):
     """A source, and a hub behind a line, on a clock that stands while the test does not run."""
 
     def __init__(
-        self, hub: VirtualHub, config: SourceConfig, recorder: Recorder | None = None
+        self, place: Path, kind: str, at: str, recorder: Recorder | None, *, away: bool, **more: Any
     ) -> None:
-        source = open_source(config, {0: SKIN}, recorder, wait=True)
+        super().__init__()
+        native = kind == NATIVE
+        adapter = "plain" if native else kind
+        self.hub = VirtualHub(place / "skin", MODULES, native=native, adapter=adapter)
+        self.enter_context(self.hub)
+        if away:
+            self.hub.unplug()
+        if more.get("listen_only"):  # something else has started it
+            self.hub.ihb.phase, self.hub.ihb.auto_sync = Phase.RUNNING, True
+            self.hub.port.is_open = native
+        keys: dict[str, Any] = {**self.hub.source, "channel": self.hub.device + at, **more}
+        source = open_source(SourceConfig(**keys), {0: SKIN}, recorder, wait=True)
         assert isinstance(source, LiveSource)
-        self.hub, self.source, self.port = hub, source, hub.port
-        self.scans: list[Scan] = []
-        self.now_s = 0.0
+        self.source, self.scans, self.now_s = source, list[Scan](), 0.0
+        self.callback(source.close)
 
     @property
     def adapter(self) -> Adapter:
-        assert isinstance(self.port, SlcanPort)
-        return self.port.adapter
+        assert isinstance(self.hub.port, SlcanPort)
+        return self.hub.port.adapter
 
     def turn(self, *, polls: bool = True) -> None:
         """Serve the hub, whose scan k reads k + 1 everywhere, and poll."""
@@ -67,7 +78,7 @@ class ServedSkin:
         if polls:
             self.scans += self.source.poll(self.now_s)
 
-    def until(self, true: Callable[[], bool]) -> float:
+    def until(self, true: Callable[[], Any]) -> float:
         """Go on until something is so; → by the clock, how long it took."""
         began_s = self.now_s
         until(true, self.turn)
@@ -80,11 +91,6 @@ class ServedSkin:
         assert all({*scan.counts} == {scan.counts[0]} for scan in self.scans)
         return took_s
 
-    def close(self) -> None:
-        """Until all that was written has come to the hub."""
-        self.source.close()
-        until(lambda: not self.adapter.is_open, lambda: self.hub.answer(self.now_s))
-
 
 Opened = Callable[..., ServedSkin]
 
@@ -94,43 +100,32 @@ def opened(tmp_path: Path) -> Iterator[Opened]:
     """A skin behind a kind of adapter or a native link, and more keys of its source."""
     with ExitStack() as stack:
 
-        def made(kind: str = "plain", at: str = "", **more: Any) -> ServedSkin:
-            recorder, is_away = more.pop("recorder", None), more.pop("away", False)
-            native = kind == NATIVE
-            adapter = "plain" if native else kind
-            hub = VirtualHub(tmp_path / "skin", MODULES, native=native, adapter=adapter)
-            stack.enter_context(hub)
-            if is_away:
-                hub.unplug()
-            keys: dict[str, Any] = {**hub.source, "channel": hub.device + at, **more}
-            skin = ServedSkin(hub, SourceConfig(**keys), recorder)
-            stack.callback(skin.source.close)
-            return skin
+        def made(
+            kind: str = "plain",
+            at: str = "",
+            recorder: Recorder | None = None,
+            away: bool = False,
+            **more: Any,
+        ) -> ServedSkin:
+            skin = ServedSkin(tmp_path, kind, at, recorder, away=away, **more)
+            return stack.enter_context(skin)
 
         yield made
 
 
+@pytest.mark.parametrize("listens", [False, True])
 @adapters
-def test_the_skin_behind_each_kind_of_adapter_is_brought_up_and_left_stopped_and_closed(
-    opened: Opened, kind: str
+def test_the_skin_behind_each_kind_of_adapter_is_started_and_stopped_or_only_listened_to(
+    opened: Opened, kind: str, listens: bool
 ) -> None:
-    skin = opened(kind)
+    """Then nothing is sent to the bus, and the adapter is told so."""
+    skin = opened(kind, **(LISTENING if listens else {}))
     skin.more()
-    skin.close()
-    assert not skin.hub.ihb.auto_sync
-    assert not skin.adapter.is_open
-
-
-@adapters
-def test_listening_only_nothing_is_sent_to_the_bus_and_the_adapter_is_told_so(
-    opened: Opened, kind: str
-) -> None:
-    skin = opened(kind, listen_only=True, modules=LISTED)
-    skin.hub.ihb.phase, skin.hub.ihb.auto_sync = Phase.RUNNING, True  # something else started it
-    skin.more()
-    assert skin.adapter.is_silent
-    skin.close()
-    assert skin.hub.requests == []
+    assert skin.adapter.is_silent is listens
+    skin.source.close()
+    until(lambda: not skin.adapter.is_open, lambda: skin.hub.answer(skin.now_s))
+    assert skin.hub.ihb.auto_sync is listens
+    assert bool(skin.hub.requests) is not listens
 
 
 @adapters
@@ -141,13 +136,14 @@ def test_a_channel_that_another_process_closed_is_opened_again_and_said_once(
     skin = opened(kind)
     skin.more()
     caplog.clear()
-    assert isinstance(skin.port, SlcanPort)
+    port = skin.hub.port
+    assert isinstance(port, SlcanPort)
     if kind == "lawicel":  # as a shell's `stty sane` does: then it echoes, and gives whole lines
-        form = termios.tcgetattr(skin.port.slave)
+        form = termios.tcgetattr(port.slave)
         form[0] |= termios.ICRNL
         form[3] |= termios.ICANON | termios.ECHO
-        termios.tcsetattr(skin.port.slave, termios.TCSANOW, form)
-    skin.port.close_channel()
+        termios.tcsetattr(port.slave, termios.TCSANOW, form)
+    port.close_channel()
     took_s = skin.until(lambda: bool(skin.source.waits_for))
     named = f"source.channel: nothing has come from {skin.hub.device} for 1 s; "
     assert skin.source.waits_for.startswith(named)
@@ -171,13 +167,17 @@ class QuietHub(LateHub):
         return super().answer(packet)
 
 
-def test_a_hub_that_is_quiet_while_it_starts_is_started_and_its_channel_is_not_opened_again(
-    opened: Opened, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("hub", [QuietHub(MODULES, modules_s=1.6), StuckHub(MODULES)])
+def test_the_channel_of_a_hub_that_answers_is_not_opened_again_while_it_is_started(
+    opened: Opened, hub: VirtualIhb, caplog: pytest.LogCaptureFixture
 ) -> None:
+    """Also between two rounds, in which nobody speaks."""
     skin = opened()
-    skin.hub.ihb = QuietHub(MODULES, modules_s=1.6)
-    assert skin.more() < 6.0
+    skin.hub.ihb = hub
+    took_s = skin.until(lambda: skin.scans or skin.now_s > 14.0)
+    assert (took_s < 6.0) is isinstance(hub, QuietHub)
     assert "its channel is opened again" not in caplog.text
+    assert skin.source.waits_for.startswith("hub 1 stays in its bootloader" * (not skin.scans))
     assert skin.source.counters.unsent == 0
 
 
@@ -191,19 +191,19 @@ def test_foreign_frames_are_counted_and_damaged_lines_cost_only_themselves(opene
         return skin.source.decoder.stats()["dropped"]["foreign"]  # type: ignore[index]
 
     for data in (strange, *noise):
-        os.write(skin.port.fileno(), data)
+        os.write(skin.hub.port.fileno(), data)
         skin.more(1)
     skin.until(lambda: foreign() >= 5)
     assert foreign() == 5
     assert skin.source.counters.lost == 0
 
 
-@pytest.mark.parametrize(("refuses", "listen_only"), [(False, False), (False, True), (True, False)])
+@pytest.mark.parametrize(("refuses", "listens"), [(False, False), (False, True), (True, False)])
 @pytest.mark.parametrize("late_s", [0.0, 0.08, 0.15])
 @pytest.mark.parametrize("mute", [b"", b"C"], ids=["answers C", "does not answer C"])
 def test_an_adapter_that_answers_late_is_opened_or_named_with_the_bit_rate_that_it_refuses(
     refuses: bool,
-    listen_only: bool,
+    listens: bool,
     late_s: float,
     mute: bytes,
     caplog: pytest.LogCaptureFixture,
@@ -212,31 +212,27 @@ def test_an_adapter_that_answers_late_is_opened_or_named_with_the_bit_rate_that_
     """No answer of its own is taken for a refusal."""
     if refuses:
         monkeypatch.setitem(BITRATES, 1_000_000, b"S9")  # Lawicel's knows no such
+    tick = itertools.count()
     with closing(LateAdapter(late_s, mute)) as late:
-        listening = {"listen_only": listen_only, "modules": LISTED}
-        config = SourceConfig("can", "slcan", late.device, **listening)  # type: ignore[arg-type]
+        config = SourceConfig("can", "slcan", late.device, **(LISTENING if listens else {}))
         with closing(open_source(config, {0: SKIN})) as source:
-            tick = itertools.count()
 
             def turn() -> None:
                 now_s = TICK_S * next(tick)
                 source.poll(now_s)
                 late.serve(now_s)
-                time.sleep(0.0005)
 
             # the skin is silent, so that the channel is opened twice
             until(lambda: source.waits_for and (refuses or late.adapter.on_bus), turn)
             for _ in range(50):
                 turn()
-            assert refuses or late.adapter.is_silent == listen_only
+            assert refuses or late.adapter.is_silent == listens
     said = [text for text in caplog.messages if "refused" in text]
-    if not refuses:
-        assert said == []
-    else:
-        named = f"source.channel: {late.device} refused S9 (it knows no such bit rate"
-        assert [text for text in said if text.startswith(named)] == said[:1], "once"
-        # without a bit rate its channel does not open, and takes nothing
-        assert all(text.split()[3][0] in "OtT" for text in said[1:]), said
+    named = f"source.channel: {late.device} refused S9 (it knows no such bit rate"
+    assert [text for text in said if text.startswith(named)] == said[:1], "once"
+    assert bool(said) is refuses
+    # without a bit rate its channel does not open, and takes nothing
+    assert all(text.split()[3][0] in "OtT" for text in said[1:]), said
 
 
 @pytest.mark.parametrize("bitrate", BITRATES)
@@ -271,15 +267,8 @@ def test_what_waited_on_a_line_while_the_loop_was_stopped_or_had_not_begun_is_dr
     clock = SimpleNamespace(monotonic=lambda: 0.0, time=time.time, sleep=time.sleep)
     monkeypatch.setattr("taxeld.source.sources.time", clock)
     with Recorder(tmp_path / "session", moves=False) as recorder:
-        skin = opened(kind, recorder=recorder, listen_only=not began, modules=LISTED * (not began))
-        if began:
-            skin.more()
-        else:  # something else has started it
-            skin.hub.ihb.phase, skin.hub.ihb.auto_sync, skin.port.is_open = (
-                Phase.RUNNING,
-                True,
-                True,
-            )
+        skin = opened(kind, recorder=recorder, **({} if began else LISTENING))
+        skin.more(3 * began)
         before, taken = skin.hub.scans, len(skin.scans)
         for _ in range(102):  # no scan is due in the next pass
             skin.turn(polls=False)
@@ -290,8 +279,7 @@ def test_what_waited_on_a_line_while_the_loop_was_stopped_or_had_not_begun_is_dr
         assert [s.counts[0] for s in skin.scans[taken:]] == [now - 2, now - 1, now]
         assert skin.source.counters.late == missed
         skin.source.close()
-    decoder = Decoder(lambda _: MODULES)
-    decoded = decoder.take(items_of(tmp_path / "session"))  # type: ignore[arg-type]
+    decoded = Decoder(lambda _: MODULES).take(items_of(tmp_path / "session"))  # type: ignore[arg-type]
     recorded = [scan.counts for _, ended in decoded for scan in ended]
     assert recorded == [scan.counts for scan in skin.scans], "it is not recorded"
 
@@ -326,7 +314,7 @@ def test_a_line_whose_far_end_stops_reading_makes_no_tick_wait(
     monkeypatch.setattr(termios, "tcdrain", drain)
     for tick in range(2000):
         source.poll(tick * TICK_S)
-    assert 30 <= source.counters.unsent <= 3 * 2000 * TICK_S / 0.5
+    assert 5 <= source.counters.unsent <= 2000 * TICK_S
     assert source.counters.lost == 0
     source.close()
 

@@ -1,4 +1,4 @@
-"""Which taxel is which, where no DECLARE was heard: as listed, as told elsewhere, or refused."""
+"""Which taxel is which, where no DECLARE was heard: as listed, as told later, or refused."""
 
 import itertools
 import json
@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,8 +15,7 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source import modules
 from taxeld.source.sources import LiveSource
-from taxeld_hil.rig.virtual_ihb import Answer, Phase, VirtualIhb
-from taxeld_protocol.decoder import Scan
+from taxeld_hil.rig.virtual_ihb import Phase, VirtualIhb
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import Module, listed
 from tests.rig import skins
@@ -29,184 +27,147 @@ from tests.rig.virtual_hub import VirtualHub, frames_of, told
 
 # a hub's own order, each module with taxels that the layout does not have
 MODULES = listed((module.sui or 0, 0xFFF) for module in reversed(skins.MODULES))
-LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
-UIDS = [uid for module in MODULES for uid in module.uids]
-MISSING = "DECLARE and MODULE_DETAILS were not heard"
-
-
-def frames(hub: VirtualIhb, answers: Iterable[Answer], t: float = 1.0) -> list[Frame]:
-    return frames_of(answers, hub.short_id, t)
-
-
-def scan(hub: VirtualIhb, t: float = 1.0) -> list[Frame]:
-    """In which every channel reads the UID of its taxel."""
-    return frames(hub, hub.sensor_data([u for m in hub.modules for u in m.uids]), t)
-
-
-def log(place: Path, heard: Sequence[Frame]) -> Path:
-    path = place / "frames.log"
-    path.write_text("\n".join(map(format_log_line, heard)) + "\n", encoding="ascii")
-    return path
-
-
-def configured(place: Path, **source: object) -> str:
-    """The configuration beside what was logged in `place`."""
-    return str(configuration(place, source=QUIET | source))
-
-
-def is_right(scans: Sequence[Scan]) -> bool:
-    """Whether each taxel read its own UID."""
-    return all(
-        uid == count
-        for scan in scans
-        for uid, count in zip([u for m in scan.table for u in m.uids], scan.counts, strict=True)
-    )
-
-
-def listener(modules: tuple[tuple[int, ...], ...] = ()) -> tuple[LiveSource, GivenDevice]:
-    config = SourceConfig(kind="can", channel="x", listen_only=True, modules=modules)
-    device = GivenDevice()
-    return LiveSource(config, {0: SKIN}, lambda _: device), device
-
-
+MISSING = "streams, but its answers to DECLARE and MODULE_DETAILS were not heard"
 GROUPED = [replace(MODULES[0], grouping=2), *MODULES[1:]]
 REFUSED = f"hub 1 is refused: module {MODULES[0].sui} is grouped (grouping 2)"
-FIRST, SECOND = MODULES[:3], MODULES[3:]
+
+Listed = tuple[tuple[int, ...], ...]
 
 
-@pytest.mark.parametrize(
-    ("modules", "hubs", "tells", "read", "waits"),
-    [
-        (LISTED, [(MODULES, 1)], False, [1], ""),
-        ((), [(MODULES, 1)], True, [1], ""),
-        (LISTED, [(MODULES, 1), (MODULES, 2)], False, [1], ""),
-        (
-            tuple((m.sui, m.mask, ihb) for ihb, ms in ((7, SECOND), (1, FIRST)) for m in ms),
-            [(FIRST, 1), (SECOND, 7)],
-            False,
-            [1, 7],
-            "",
-        ),
-        ((), [(GROUPED, 1)], True, [], REFUSED),
-    ],
-    ids=[
-        "in the order of the list",
-        "it was there before the skin was started",
-        "a list without hubs is of one hub and not of the next",
-        "each module is listed with its hub",
-        "a grouped module",
-    ],
-)
+def pairs(of: Iterable[Module], *hub: int) -> Listed:
+    return tuple((module.sui or 0, module.mask, *hub) for module in of)
+
+
+def hub(of: list[Module] = MODULES, short_id: int = 1) -> VirtualIhb:
+    return VirtualIhb(of, short_id=short_id)
+
+
+def tells(of: VirtualIhb, *without: int) -> list[Frame]:
+    """What it answers to DECLARE and MODULE_DETAILS, but for some of the answers."""
+    answers = [answer for i, answer in enumerate(told(of)) if i not in without]
+    return frames_of(answers, of.short_id, 1.0)
+
+
+def scan(of: VirtualIhb, t: float = 1.0) -> list[Frame]:
+    """In which every channel reads the UID of its taxel."""
+    uids = [uid for module in of.modules for uid in module.uids]
+    return frames_of(of.sensor_data(uids), of.short_id, t)
+
+
+ONE, TWO, SEVEN = hub(), hub(short_id=2), hub(MODULES[3:], 7)
+FIRST, ODD = hub(MODULES[:3]), hub(GROUPED)
+# what is listed, and in turns: what is heard, the hubs that are read, what is waited for
+LISTENING: dict[str, tuple[Listed, list[tuple[list[Frame], list[int], str]]]] = {
+    "in the order of the list": (pairs(MODULES), [(scan(ONE), [1], "")]),
+    "it was there before the skin was started": ((), [(tells(ONE) + scan(ONE), [1], "")]),
+    "a list without hubs is of one hub and not of the next": (
+        pairs(MODULES),
+        [(scan(ONE) + scan(TWO), [1], "")],
+    ),
+    "each module is listed with its hub": (
+        pairs(MODULES[3:], 7) + pairs(MODULES[:3], 1),
+        [(scan(FIRST) + scan(SEVEN), [1, 7], "")],
+    ),
+    "a grouped module": ((), [(tells(ODD) + scan(ODD), [], REFUSED)]),
+    "without a list nothing is read until its host has asked": (
+        (),
+        [
+            *((scan(ONE, t), [], f"source.modules: hub 1 {MISSING}") for t in (0.0, 0.05)),
+            (tells(ONE) + scan(ONE, 0.1), [1], ""),
+        ],
+    ),
+    "a module that told nothing of itself costs its own taxels alone": (
+        (),
+        [(tells(ONE, 2), [], ""), *((scan(ONE, 0.05 * k), [1], "") for k in range(100))],
+    ),
+    "a stranger's packets do not end one that hears its skin": (
+        (),
+        [
+            (tells(ONE), [], ""),
+            *((scan(ONE, 0.05 * k) + scan(TWO, 0.05 * k), [1], "") for k in range(100)),
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize(("entries", "turns"), LISTENING.values(), ids=LISTENING.keys())
 def test_a_listener_reads_the_hubs_whose_modules_it_knows(
-    modules: tuple[tuple[int, ...], ...],
-    hubs: list[tuple[list[Module], int]],
-    tells: bool,
-    read: list[int],
-    waits: str,
+    entries: Listed, turns: list[tuple[list[Frame], list[int], str]]
 ) -> None:
-    source, device = listener(modules)
-    for hub in (VirtualIhb(own, short_id=ihb) for own, ihb in hubs):
-        device.frames += (frames(hub, told(hub)) if tells else []) + scan(hub)
-    scans = source.poll(0.0)
-    assert [scan.ihb for scan in scans] == read
-    assert is_right(scans)
-    assert source.waits_for.startswith(waits)
-    assert bool(source.waits_for) is bool(waits)
-
-
-def test_a_listener_without_a_list_decodes_nothing_and_says_what_is_missing() -> None:
-    source, device = listener()
-    hub = VirtualIhb(MODULES)
-    for now in (0.0, 0.05):
-        device.frames = scan(hub, now)
-        assert source.poll(now) == []
-    for part in (MISSING, "source.modules: hub 1 streams", "taxeld record"):
-        assert part in source.waits_for
-    device.frames = frames(hub, told(hub)) + scan(hub, 0.1)  # its host has asked at last
-    assert len(source.poll(0.1)) == 1
-    assert source.waits_for == ""
-
-
-def test_a_module_that_told_nothing_of_itself_costs_its_own_taxels_alone(tmp_path: Path) -> None:
-    hub = VirtualIhb(MODULES)
-    declare, first, _, *rest = told(hub)  # the second module's details are lost
-    answers = frames(hub, [declare, first, *rest])
-    source, device = listener()
-    heard = [scan(hub, 0.05 * k) for k in range(100)]
-    device.frames = answers
-    for k, frames_of_scan in enumerate(heard):
-        device.frames += frames_of_scan
-        [got] = source.poll(0.05 * k)
-        assert source.waits_for == ""
-    assert [module.sui for module in got.table] == [
-        None if i == 1 else module.sui for i, module in enumerate(MODULES)
-    ]
-    log(tmp_path, [*answers, *heard[0]])
-    configured(tmp_path)
-    assert printed("replay", tmp_path)
-
-
-def test_a_strange_packet_does_not_end_a_listener_that_hears_its_skin() -> None:
-    source, device = listener()
-    hub, stranger = VirtualIhb(MODULES), VirtualIhb(MODULES, short_id=9)
-    device.frames = frames(hub, told(hub))
-    for k in range(100):
-        device.frames += scan(hub, 0.05 * k) + scan(stranger, 0.05 * k)
-        source.poll(0.05 * k)
-        assert source.waits_for == ""
-    assert source.decoder.stats()["undeclared"] == 100  # packets of the stranger's
+    config = SourceConfig(kind="can", channel="x", listen_only=True, modules=entries)
+    device = GivenDevice()
+    source = LiveSource(config, {0: SKIN}, lambda _: device)
+    for heard, read, waits in turns:
+        device.frames = heard
+        scans = source.poll(0.0)
+        assert [scan.ihb for scan in scans] == read
+        for one in scans:
+            uids = [uid for module in one.table for uid in module.uids]
+            assert all(uid in (count, -1) for uid, count in zip(uids, one.counts, strict=True))
+            assert uids.count(-1) in (0, 12)
+        assert source.waits_for.startswith(waits)
+        assert bool(source.waits_for) is bool(waits)
+    assert device.sent == []
 
 
 def test_a_list_of_another_skin_is_refused() -> None:
+    config = SourceConfig("can", channel="x", listen_only=True, modules=((3535, 0xFFF),))
     with pytest.raises(SetupError, match=r"^source\.modules: none of its 1 modules is in [^\n]+$"):
-        listener(((3535, 0xFFF),))
+        LiveSource(config, {0: SKIN}, lambda _: GivenDevice())
+
+
+def log(place: Path, *heard: Sequence[Frame], **source: object) -> Path:
+    """What was heard, and beside it a configuration."""
+    path = place / "frames.log"
+    lines = [format_log_line(frame) for frames in heard for frame in frames]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    configuration(place, source=QUIET | source)
+    return path
+
+
+def decoded(*arguments: object) -> tuple[list[dict[str, object]], dict[str, int]]:
+    *scans, last = map(json.loads, printed("decode", *arguments).splitlines())
+    return scans, last["stats"]
 
 
 def test_a_log_that_does_not_tell_its_modules_is_read_by_the_configurations_list_or_refused(
     tmp_path: Path,
 ) -> None:
-    path = log(tmp_path, scan(VirtualIhb(MODULES)))
-    decode = ["decode", path, "--config", configured(tmp_path)]
-    for command, place in ((decode, path), (["replay", tmp_path], tmp_path)):
-        said = refused(*command)
-        assert said.startswith(f"source.modules: hub 1 of {place} streams")
-        assert MISSING in said
-    configured(tmp_path, modules=LISTED)
-    heard = json.loads(printed(*decode).splitlines()[0])
-    assert heard["modules"] == [m.uids for m in MODULES]
+    path, config = log(tmp_path, scan(ONE)), tmp_path / "config.toml"
+    for command, place in ((["decode", path, "--config", config], path), (["replay"], tmp_path)):
+        said = refused(*command, *[tmp_path] * (command == ["replay"]))
+        assert said.startswith(f"source.modules: hub 1 of {place} {MISSING}")
+    log(tmp_path, scan(ONE), modules=pairs(MODULES))
+    assert decoded(path, "--config", config)[0][0]["modules"] == [m.uids for m in MODULES]
+    log(tmp_path, tells(ONE, 2), *(scan(ONE, 1.0 + 0.05 * k) for k in range(2)))
+    assert printed("replay", tmp_path), "one module that told nothing of itself"
 
 
 @pytest.mark.parametrize("beside", ["config.toml", modules.FILE])
 def test_decode_of_a_sessions_log_reads_by_the_list_beside_it(tmp_path: Path, beside: str) -> None:
     """A skin of 13 modules, one of them cut: with full modules a quarter of the values is wrong."""
     cut = listed((sui, 0x76D if sui == 7 else 0xFFF) for sui in range(1, 14))
-    path = log(tmp_path, scan(VirtualIhb(cut)))
-    if beside == "config.toml":
-        pairs = [(module.sui, module.mask) for module in cut]
-        configuration(tmp_path, source=QUIET | {"listen_only": True, "modules": pairs})
-    else:
+    more = {"listen_only": True, "modules": pairs(cut)} if beside == "config.toml" else {}
+    path = log(tmp_path, scan(VirtualIhb(cut)), **more)
+    if not more:
         modules.write(tmp_path / beside, {1: cut})
-    heard, last = map(json.loads, printed("decode", path).splitlines())
+    [heard], stats = decoded(path)
     assert heard["modules"] == [module.uids for module in cut]
-    assert last["stats"]["scans"] == 1
+    assert stats["scans"] == 1
 
 
 def test_decode_leaves_out_a_hub_whose_modules_only_another_hub_has_told(tmp_path: Path) -> None:
-    quiet, telling = VirtualIhb(MODULES, short_id=1), VirtualIhb(MODULES, short_id=2)
-    answers = frames(telling, told(telling))
-    path = log(tmp_path, [*answers, *2 * (scan(quiet) + scan(telling))])
-    configuration(tmp_path, source=QUIET | {"listen_only": True})
-    *heard, last = map(json.loads, printed("decode", path).splitlines())
+    heard, stats = decoded(log(tmp_path, tells(TWO), *[scan(ONE), scan(TWO)] * 2, listen_only=True))
     assert [scan["ihb"] for scan in heard] == [2, 2]
-    assert last["stats"]["undeclared"] > 0
+    assert stats["undeclared"] > 0
 
 
 def test_check_tells_a_listener_without_a_list_when_it_must_be_started(tmp_path: Path) -> None:
-    with VirtualHub(tmp_path / "skin", MODULES) as hub:
-        source, noted = hub.source | {"listen_only": True}, "note: source.modules: lists none"
-        assert noted in printed("check", configuration(tmp_path, source=source))
-        listed_too = configuration(tmp_path, source=source | {"modules": LISTED})
-        assert noted not in printed("check", listed_too)
+    with VirtualHub(tmp_path / "skin", MODULES) as skin:
+        for entries in ((), pairs(MODULES)):
+            source = skin.source | {"listen_only": True, "modules": entries}
+            said = printed("check", configuration(tmp_path, source=source))
+            assert ("note: source.modules: lists none" in said) is not bool(entries)
 
 
 def pasted(path: Path) -> SourceConfig:
@@ -214,51 +175,54 @@ def pasted(path: Path) -> SourceConfig:
     return parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\n').source
 
 
-def test_what_is_written_for_a_listener_can_be_pasted(tmp_path: Path) -> None:
+def test_what_is_written_for_a_listener_can_be_pasted_and_is_written_through_no_link(
+    tmp_path: Path,
+) -> None:
     for name, tables in (("one", {1: MODULES}), ("two", {1: MODULES[:2], 5: MODULES[2:]})):
         modules.write(tmp_path / name, tables)
-        given = modules.given(pasted(tmp_path / name), SKIN)
-        assert {ihb: given.of(ihb) for ihb in tables} == tables
-
-
-def test_a_list_of_modules_is_written_over_nothing_and_through_no_link(tmp_path: Path) -> None:
-    victim = tmp_path / "victim"
-    (tmp_path / modules.FILE).symlink_to(victim)
+        known = modules.known(pasted(tmp_path / name).modules)
+        assert {ihb: known(ihb) for ihb in tables} == tables
+    (tmp_path / modules.FILE).symlink_to(tmp_path / "victim")
     with pytest.raises(FileExistsError):
         modules.write(tmp_path / modules.FILE, {1: MODULES})
-    assert not victim.exists()
+    assert not (tmp_path / "victim").exists()
 
 
-def recorded(place: Path, hub: VirtualHub, **source: Any) -> tuple[str, Recording]:
-    """The last line of a recording of some scans, or of much else that the hub said."""
-    file = configuration(place, source=hub.source | source)
-    recording, polls = Recording(load(file), file, place / "session"), itertools.count()
-
-    def ends() -> bool:
-        hub.serve(time.monotonic(), lambda _: UIDS)
-        return hub.ihb.phase == Phase.RUNNING and next(polls) > 500
-
-    return recording.run(ends), recording
+UNTOLD = "no DECLARE and MODULE_DETAILS were heard: to replay it, list source.modules"
 
 
+@pytest.mark.parametrize(
+    ("of", "is_told", "line", "logged"),
+    [
+        (MODULES, True, "{file}, for source.modules", ""),
+        (GROUPED, True, REFUSED, REFUSED),
+        (MODULES, False, UNTOLD, f"source.modules: hub 1 {MISSING}"),
+    ],
+    ids=["told", "refused", "untold"],
+)
 def test_a_recording_lists_the_modules_for_a_listener_or_says_why_it_does_not(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    of: list[Module],
+    is_told: bool,
+    line: str,
+    logged: str,
 ) -> None:
     """And goes on where nobody told their order."""
-    for name in ("told", "refused", "untold"):
-        place, modules_ = tmp_path / name, GROUPED if name == "refused" else MODULES
-        place.mkdir()
-        with VirtualHub(place / "skin", modules_) as hub:
-            if name == "untold":
-                hub.ihb.phase, hub.ihb.auto_sync = Phase.RUNNING, True
-            line, recording = recorded(place, hub, listen_only=name == "untold")
-        written = place / "session" / modules.FILE
-        if name == "told":
-            assert f"{written}, for source.modules" in line
-            assert pasted(written).modules == LISTED
-            assert not caplog.messages
-            continue
-        assert recording.scans == 0
-        assert (REFUSED if name == "refused" else "to replay it, list source.modules") in line
-        assert not written.exists()
-    assert caplog.messages[-1].startswith("source.modules: hub 1 streams")
+    polls = itertools.count()
+    with VirtualHub(tmp_path / "skin", of) as skin:
+        if not is_told:
+            skin.ihb.phase, skin.ihb.auto_sync = Phase.RUNNING, True
+        file = configuration(tmp_path, source=skin.source | {"listen_only": not is_told})
+        recording = Recording(load(file), file, tmp_path / "session")
+
+        def ends() -> bool:
+            skin.serve(time.monotonic(), lambda _: [u for m in MODULES for u in m.uids])
+            return skin.ihb.phase == Phase.RUNNING and next(polls) > 500
+
+        said = recording.run(ends)
+    written = tmp_path / "session" / modules.FILE
+    assert line.format(file=written) in said
+    assert written.exists() is bool(recording.scans) is (line not in (REFUSED, UNTOLD))
+    assert not written.exists() or pasted(written).modules == pairs(MODULES)
+    assert [text[: len(logged)] for text in caplog.messages[-1:]] == [logged] * bool(logged)

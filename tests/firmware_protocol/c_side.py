@@ -18,6 +18,7 @@ from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import SerialCounters
 
 C = Path(__file__).parents[2] / "firmware_protocol" / "c"
+SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 STRICT = ["-Wall", "-Wextra", "-Werror", "-std=c99", "-pedantic"]
 
 GOOD, E_ARGUMENT, E_ROOM, E_LENGTH, E_CRC, E_COBS = 1, -1, -2, -3, -4, -7

@@ -32,6 +32,7 @@ from .c_side import (
     E_ROOM,
     MIRRORS,
     PACKET_MAX,
+    SANITIZED,
     C,
     CSide,
     compile_c,
@@ -39,7 +40,6 @@ from .c_side import (
 )
 from .test_vectors import VECTORS
 
-SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 ROUNDS_OF_DAMAGE = 20_000
 SECONDS = 120  # that the sanitized program may take
 

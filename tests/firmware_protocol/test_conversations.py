@@ -1,4 +1,4 @@
-"""Hubs of both languages say what the conversations have, and nothing else."""
+"""Hubs of both languages and the daemon say what the conversations have, and nothing else."""
 
 import runpy
 import struct
@@ -7,14 +7,17 @@ from pathlib import Path
 
 import pytest
 
+from taxeld.config.tables import SourceConfig
+from taxeld.source.sources import LiveSource
 from taxeld_hil.rig.virtual_ihb import HubLink, Phase, VirtualIhb
-from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import listed
-from tests.rig.conversations import FOLDER, NAMES, Conversation, Line, hold_device, load
+from tests.rig.conversations import FOLDER, NAMES, Conversation, hold_device, hold_host, load
+from tests.rig.given_device import GivenDevice
+from tests.rig.skins import SKIN
+from tests.rig.virtual_hub import frames_of
 
-from .c_side import C, compile_c
-from .test_c_side import SANITIZED, c_side  # noqa: F401  (a fixture)
+from .c_side import SANITIZED, C, compile_c
 
 PHASES = {"cold": Phase.BOOTLOADER, "warm": Phase.RUNNING}
 each = pytest.mark.parametrize("name", NAMES)
@@ -28,10 +31,6 @@ def test_there_are_conversations_of_cold_warm_and_cut_hubs() -> None:
 def test_the_file_is_what_its_script_makes(name: str) -> None:
     script = runpy.run_path(str(FOLDER / "make.py"))
     assert (FOLDER / f"{name}.json").read_text(encoding="utf-8") == script["render"](name)
-
-
-def frames(hub: VirtualIhb, answers: list[tuple[int, bytes]]) -> list[Frame]:
-    return [f for answer in answers for f in cyskin.to_frames(*answer, ihb=hub.short_id)]
 
 
 @each
@@ -50,14 +49,31 @@ def test_the_virtual_hub_says_its_part(name: str) -> None:
 
     def hear(frame: Frame) -> list[Frame]:
         request = link.feed(frame)
-        return [] if request is None else frames(hub, hub.answer(request))
+        return [] if request is None else frames_of(hub.answer(request), hub.short_id)
 
-    def scan(line: Line) -> list[Frame]:
-        assert line.counts is not None
+    def scan(counts: list[int]) -> list[Frame]:
         assert hub.due(0.0)
-        return frames(hub, list(hub.sensor_data(line.counts)))
+        return frames_of(hub.sensor_data(counts), hub.short_id)
 
     hold_device(conversation, hear, scan)
+
+
+@each
+def test_the_daemon_asks_what_the_host_does_and_reads_the_scan(name: str) -> None:
+    conversation, device = load(name), GivenDevice()
+    config = SourceConfig(kind="can", channel="x", period_ms=conversation.host["period_ms"])
+    source = LiveSource(config, {0: SKIN}, lambda _: device)
+
+    def step(now_s: float, heard: list[Frame]) -> tuple[list[Frame], dict[int, int]]:
+        device.frames, device.sent = heard, []
+        taxels = {
+            uid: count
+            for scan in source.poll(now_s)
+            for uid, count in zip((u for m in scan.table for u in m.uids), scan.counts, strict=True)
+        }
+        return [frame._replace(t=0.0) for frame in device.sent], taxels
+
+    hold_host(conversation, step)
 
 
 def text_of(conversation: Conversation) -> str:
@@ -88,15 +104,9 @@ def c_hub(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return program
 
 
-def held(program: Path, place: Path, text: str) -> subprocess.CompletedProcess[str]:
-    script = place / "script.txt"
-    script.write_text(text, encoding="ascii")
-    return subprocess.run([program, script], capture_output=True, text=True, check=False)
-
-
 @each
 def test_the_hub_in_c_says_its_part(name: str, c_hub: Path, tmp_path: Path) -> None:
-    text = text_of(load(name))
-    done = held(c_hub, tmp_path, text)
-    assert done.stderr == ""
-    assert done.stdout == f"{text.count(chr(10))} lines\n"
+    text, script = text_of(load(name)), tmp_path / "script.txt"
+    script.write_text(text, encoding="ascii")
+    done = subprocess.run([c_hub, script], capture_output=True, text=True, check=False)
+    assert (done.stderr, done.stdout) == ("", f"{text.count(chr(10))} lines\n")

@@ -109,7 +109,7 @@ class PlayedInputs:
         self.sources = [SimpleNamespace(decoder=None)]
         self._clock, self._link, self._recorder = clock, link, recorder
         self._records = session.records(place)
-        self._source = RecordedSource(place, config.source, {0: skins[0]}, alone=True)
+        self._source = RecordedSource(config.source, {0: skins[0]}, alone=True)
 
     def poll(self, _: float) -> list[Scan]:
         record = next(self._records)

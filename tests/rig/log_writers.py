@@ -6,17 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from taxeld.commands.decode import decode
-from taxeld_hil.rig.virtual_ihb import VirtualIhb, details
-from taxeld_protocol import cyskin
+from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import Module
-from tests.rig.virtual_hub import frames_of
+from tests.rig.virtual_hub import frames_of, told
 
 MODULES = [Module(12, 0x51, 0xFFF), Module(11, 0x37, 0x7FF)]
 CHANNELS = 23
 START_S = 1_700_000_000.0
 PERIOD_S = 0.05
-BEFORE_SCANS = 7  # frames of `bus` before the first scan
 FRAME_S = 0.00011
 
 Write = Callable[[list[Frame], Path], None]
@@ -29,24 +27,15 @@ def values_of(scan: int) -> list[int]:
 
 def bus(scans: int = 6) -> list[Frame]:
     """A hub that declares its modules, then scans; and frames of other devices between them."""
-    hub, frames = VirtualIhb(MODULES), list[Frame]()
-    packets = [(cyskin.Command.DECLARE, bytes((2, 0, 12, 11)))]
-    packets += [
-        (cyskin.Command.MODULE_DETAILS, details(i, module)) for i, module in enumerate(MODULES)
+    hub = VirtualIhb(MODULES)
+    others = [Frame(0.0, 0x18DAF110, b"\x01\x02", extended=True), Frame(0.0, 0x7F0, b"")]
+    parts = [frames_of(told(hub)) + others]
+    parts += [frames_of(hub.sensor_data(values_of(scan))) for scan in range(scans)]
+    return [
+        frame._replace(t=round(START_S + PERIOD_S * k + FRAME_S * i, 6))
+        for k, part in enumerate(parts)
+        for i, frame in enumerate(part)
     ]
-    frames += frames_of(packets)
-    frames.append(Frame(0.0, 0x18DAF110, b"\x01\x02", extended=True))
-    frames.append(Frame(0.0, 0x7F0, b""))
-    t, stamped = 0.0, list[Frame]()
-    for frame in frames:
-        stamped.append(frame._replace(t=START_S + t))
-        t += FRAME_S
-    for scan in range(scans):
-        t = (scan + 1) * PERIOD_S
-        for frame in frames_of(hub.sensor_data(values_of(scan))):
-            stamped.append(frame._replace(t=round(START_S + t, 6)))
-            t += FRAME_S
-    return stamped
 
 
 def counts(scans: int = 6) -> list[list[list[int]]]:

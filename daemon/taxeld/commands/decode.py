@@ -17,7 +17,6 @@ from taxeld.config import gate
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError, one_line
 from taxeld.source import modules, session
-from taxeld.source.modules import ListedModules, RecordedModules
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Chunk, Frame, parse_logged
 
@@ -70,8 +69,7 @@ def of_session(path: Path) -> Listed:
 def decode(path: Path, listed: Listed = ()) -> Iterator[str]:
     """The log's scans and a last line {"stats": …}.
 
-    A hub's module table comes from its DECLARE and DETAILS answers, wherever in the log they stand;
-    else it is `listed`.
+    A hub's module table comes from its DECLARE and DETAILS answers; before them it is `listed`.
 
     Raises:
         SetupError: the log is unreadable or has no frame, or frames of several interfaces, or no
@@ -81,12 +79,7 @@ def decode(path: Path, listed: Listed = ()) -> Iterator[str]:
         raise SetupError(
             f"{path}: is no file; name a log, or of a session its frames.log or serial.bin"
         )
-
-    def items() -> Iterator[Frame | Chunk]:
-        return (item for item in _items(path, Damage()) if item is not None)
-
-    known = RecordedModules(ListedModules(listed), items, str(path), placed=False)
-    damage, decoder = Damage(), Decoder(known.of)
+    damage, decoder = Damage(), Decoder(modules.known(listed))
     for item in _items(path, damage):
         if item is None:
             decoder.drop_foreign()
@@ -94,6 +87,8 @@ def decode(path: Path, listed: Listed = ()) -> Iterator[str]:
             for _, scans in decoder.take([item]):
                 yield from map(_line, scans)
     yield from map(_line, decoder.flush())
+    if not decoder.counters.scans and (line := modules.unplaced(decoder, f" of {path}")):
+        raise SetupError(line)
     yield _json({"stats": {**decoder.stats(), "bad_lines": damage.count}})
     if damage.count:
         log.warning(

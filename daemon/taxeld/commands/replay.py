@@ -4,7 +4,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +144,8 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
         if not isinstance(record.item, OfSkin) and record.link < len(stages):
             stages[record.link].poses.add(*record.item)
     yield from pipeline.advance((), math.inf)
+    for source in sources:
+        source.end(str(directory))
 
 
 def sources_of(directory: Path, pipeline: Pipeline) -> "list[RecordedSource]":
@@ -162,37 +163,36 @@ def sources_of(directory: Path, pipeline: Pipeline) -> "list[RecordedSource]":
             )
     skins, shared = [stage.skin.layout for stage in pipeline.stages], config.buses
     return [
-        RecordedSource(directory, one, {k: skins[k] for k in numbers}, alone=len(shared) == 1)
+        RecordedSource(one, {k: skins[k] for k in numbers}, alone=len(shared) == 1)
         for one, numbers in shared
     ]
 
 
 class RecordedSource:
-    def __init__(
-        self, directory: Path, config: SourceConfig, skins: Mapping[int, Layout], *, alone: bool
-    ) -> None:
+    def __init__(self, config: SourceConfig, skins: Mapping[int, Layout], *, alone: bool) -> None:
         """`alone`: whether it is the only one."""
-        self._directory, self._config, self._alone = directory, config, alone
-        self._layout, self._links = joint(list(skins.values())), LinkTable(skins)
+        self._is_array, self._alone = config.kind == "array", alone
+        layout, self._links = joint(list(skins.values())), LinkTable(skins)
+        self.decoder: Any
+        if self._is_array:
+            self.decoder = ArrayDecoder(layout.uid.tolist(), config.array)
+        else:
+            modules.check(config, layout)
+            self.decoder = Decoder(modules.known(config.modules), config.period_ms / 1000.0)
 
     def take(self, record: Record) -> list[Scan]:
         """The scans that its record ends; none where the record is another source's."""
         decoded = self.decoder.take([record.item]) if self._has(record) else ()
         return self._links.of(scan for _, scans in decoded for scan in scans)
 
+    def end(self, place: str) -> None:
+        """Raises SetupError where hubs sent scans, and the order of their modules is unknown."""
+        line = "" if self._is_array else modules.unplaced(self.decoder, f" of {place}")
+        if line:
+            raise SetupError(line)
+
     def _has(self, record: Record) -> bool:
-        item, is_array = record.item, self._config.kind == "array"
-        if not isinstance(item, OfSkin) or isinstance(item, ArrayFrame) != is_array:
+        item = record.item
+        if not isinstance(item, OfSkin) or isinstance(item, ArrayFrame) != self._is_array:
             return False
-        return self._alone or is_array or record.link == self._links.numbers[0]
-
-    @cached_property  # a session may have been cut before its first record
-    def decoder(self) -> Any:
-        def items() -> Iterator[Any]:
-            return (r.item for r in session.items(self._directory) if self._has(r))
-
-        if self._config.kind == "array":
-            return ArrayDecoder(self._layout.uid.tolist(), self._config.array)
-        listed = modules.given(self._config, self._layout)
-        known = modules.RecordedModules(listed, items, str(self._directory))
-        return Decoder(known.of, self._config.period_ms / 1000.0)
+        return self._alone or self._is_array or record.link == self._links.numbers[0]

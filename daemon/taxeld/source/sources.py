@@ -32,7 +32,7 @@ from taxeld_protocol.modules import NAMES, wired
 
 REOPEN_S = (0.2, 1.0)  # first and longest pause before a lost device is opened again
 CLOSE_S = 0.2  # time for the last requests to leave the device
-PATIENCE_S = 0.5  # requests that wait longer are dropped: the bring-up asks again
+PATIENCE_S = 1.0  # requests that wait longer are dropped; an adapter's channel opens in less
 STOPPED_S = 0.25  # time without a poll after which the loop had been stopped,
 STOPPED_PERIODS = 2  # or these scan periods, if they are longer
 FRAME_BITS = 116  # a frame with 8 bytes and a short id, with the stuff bits of usual readings
@@ -115,7 +115,8 @@ def live(config: SourceConfig, layout: Layout) -> tuple[Decoder, BringUp | None]
         )
     period_s = config.period_ms / 1000.0
     if config.listen_only:
-        return Decoder(modules.given(config, layout).of, period_s), None
+        modules.check(config, layout)
+        return Decoder(modules.known(config.modules), period_s), None
     # a bring-up asks the hubs for their modules, so the decoder must not guess them
     decoder = Decoder(period_s=period_s)
     return decoder, BringUp(decoder, config.period_ms, {int(uid) >> 4 for uid in layout.uid})
@@ -150,13 +151,10 @@ class LiveSource(Source):
         decoder, self._bring_up = live(config, joint(list(skins.values())))
         super().__init__(decoder, skins, recorder)
         self._open: Callable[[], Device] = lambda: device(config)
-        self._is_placed = False  # whether a hub that is listened to has told its modules
-        # requests that the device has not taken yet, and when each is given up
-        self._requests = deque[tuple[float, Request]]()
+        self._requests = deque[Request]()  # requests that the device has not taken yet,
+        self._given_up_s = math.inf  # and when they are given up
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._amiss: dict[str, str] = {}  # a line on each subject that was amiss
-        self._due_s, self._behind_s = 0.0, 0.0  # the bring-up's time, and how far it is behind
-        self._sent_s = 0.0  # time when all requests had left; -inf while none leaves
         stopped_s = max(STOPPED_S, STOPPED_PERIODS * config.period_ms / 1000.0)
         self._stopped_s = stopped_s if config.is_unstamped else math.inf
         self._polled_s = math.inf  # time of the last poll of this device, or of its opening
@@ -194,7 +192,7 @@ class LiveSource(Source):
         now_s = time.monotonic()
         self._requests.clear()
         if self._bring_up is not None:
-            self._requests.append((math.inf, self._bring_up.stop()))
+            self._requests.append(self._bring_up.stop())
         with contextlib.suppress(LostError):
             self._flush(self.device)
             while self._requests and time.monotonic() < now_s + CLOSE_S:
@@ -220,7 +218,7 @@ class LiveSource(Source):
             lacks = self._ask(self._bring_up, scans, now_s)
             device.is_starting = self._bring_up.is_starting
         else:
-            lacks = self.decoder.refusal or self._unplaced()
+            lacks = self.decoder.refusal or modules.unplaced(self.decoder)
         device.tend(now_s)
         noticed, device.noticed = device.noticed, Noticed()
         self.bus.take(noticed.bus, now_s)
@@ -238,15 +236,6 @@ class LiveSource(Source):
             self.counters.late += len(scans)
             scans = []
         return scans
-
-    def _unplaced(self) -> str:
-        """A line where hubs are heard to stream and none has told its modules; else empty."""
-        counters = self.decoder.counters
-        if self._is_placed or not (counters.undeclared or counters.scans):
-            return ""
-        self._is_placed = bool(modules.placed(self.decoder))
-        hub = next(iter(self.decoder.hubs))
-        return "" if self._is_placed else modules.missing(f"hub {hub}")
 
     def _hear(self, device: Device, now_s: float, *, is_late: bool) -> list[Scan]:
         """Decode what waits in the device; → scans. Raises LostError.
@@ -270,32 +259,23 @@ class LiveSource(Source):
         return scans
 
     def _ask(self, bring_up: BringUp, scans: Sequence[Scan], now_s: float) -> str:
-        """Have the bring-up's requests sent; → what it lacks. Its clock stops while requests wait
-        to be sent."""
-        if not self._requests and math.isfinite(self._sent_s):
-            self._sent_s = now_s
-        while self._requests and self._requests[0][0] < now_s:
-            self._requests.popleft()
-            self.counters.unsent += 1
-            self._sent_s = -math.inf  # the clock goes on until a request leaves
-        waits = bool(self._requests) and now_s < self._sent_s + PATIENCE_S
-        if waits:
-            self._behind_s = now_s - self._due_s
-        self._due_s = now_s - self._behind_s
+        """Take the bring-up's requests, once its last ones have left; → what it lacks."""
         for scan in scans:
-            bring_up.on_scan(scan.ihb, self._due_s)
-        if not waits:
-            until_s = now_s + PATIENCE_S
-            self._requests.extend((until_s, request) for request in bring_up.due(self._due_s))
+            bring_up.on_scan(scan.ihb, now_s)
+        if now_s > self._given_up_s:
+            self.counters.unsent += len(self._requests)
+            self._requests.clear()
+        if not self._requests:
+            self._requests.extend(bring_up.due(now_s))
+            self._given_up_s = now_s + PATIENCE_S
         return bring_up.waits_for
 
     def _flush(self, device: Device) -> None:
         """Send what the device takes. Raises LostError."""
         with contextlib.suppress(BlockingIOError):
             while self._requests:
-                frame = device.send(*self._requests[0][1])
+                frame = device.send(*self._requests[0])
                 self._requests.popleft()
-                self._sent_s = max(self._sent_s, 0.0)
                 if frame is not None:
                     self._record([frame])
 

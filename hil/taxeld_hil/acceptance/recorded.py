@@ -76,9 +76,9 @@ class RecordedSkin:
             self.refusal = decoder.fault
         else:
             sent = {m.sui for table in self.tables.values() for m in table}
-            tables = {ihb: hub.table.modules for ihb, hub in decoder.hubs.items()}
             # a hub that was given another short id has declared itself under both
-            self.silent = [ihb for ihb, t in tables.items() if t and not sent & {m.sui for m in t}]
+            tables = decoder.tables.items()
+            self.silent = [ihb for ihb, table in tables if not sent & {m.sui for m in table}]
             self.refusal = decoder.refusal
 
     def module(self, sui: int) -> str:
