@@ -1,16 +1,16 @@
 """A bundle or a sampler that cannot be used, or that does not go with another, is one line."""
 
+import io
 import json
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
+import onnx.parser
 import pytest
-from onnx import TensorProto, helper
 
 from taxeld.config import file
 from taxeld.config.tables import FilterConfig, SceneConfig, SkinConfig
@@ -65,40 +65,38 @@ def sampler(key: str, value: object) -> Change:
     return about(lambda info: info["samplers"][0].update({key: value}))
 
 
-def content(name: str, data: bytes) -> Change:
-    """Other content of a file."""
-    return lambda box: (box / name).write_bytes(data)
-
-
 def sealed(box: Path) -> None:
     """Have bundle.json name the files as they are now."""
     digests = {path.name: manifest.digest(path.read_bytes()) for path in box.glob("*.[no]*[zx]")}
     about(files=digests)(box)
 
 
-def flipped(name: str, keep: float = 1.0) -> Change:
-    """One bit of a file is another; or it ends early, and was sealed so."""
+def content(name: str, of: Callable[[bytes], bytes], *, seals: bool = True) -> Change:
+    """Other content of a file, which was sealed so."""
 
     def made(box: Path) -> None:
-        data = bytearray((box / name).read_bytes())
-        data[int(0.6 * len(data))] ^= 0x10 * (keep == 1.0)
-        (box / name).write_bytes(data[: int(keep * len(data))])
-        if keep < 1.0:
+        (box / name).write_bytes(of((box / name).read_bytes()))
+        if seals:
             sealed(box)
 
     return made
 
 
+def flipped(name: str) -> Change:
+    """The last byte of a file is another."""
+    return content(name, lambda data: data[:-1] + bytes([data[-1] ^ 0x10]), seals=False)
+
+
 def scene(**values: Any) -> Change:
-    """Other arrays in the scene, which was sealed so."""
+    """Other arrays in the scene, or one that lacks, which was sealed so."""
 
-    def made(box: Path) -> None:
-        with np.load(box / "scene.npz") as npz:
-            arrays = {name: npz[name] for name in npz.files}
-        np.savez_compressed(box / "scene.npz", **(arrays | values if values else {"slices": FAR}))
-        sealed(box)
+    def made(data: bytes) -> bytes:
+        with np.load(io.BytesIO(data)) as npz, io.BytesIO() as file:
+            arrays = {name: v for name, v in ({**npz} | values).items() if v is not None}
+            np.savez_compressed(file, **arrays)
+            return file.getvalue()
 
-    return made
+    return content("scene.npz", made)
 
 
 @pytest.mark.parametrize(
@@ -108,8 +106,11 @@ def scene(**values: Any) -> Change:
         (flipped("ddpm-100.onnx"), "ddpm-100.onnx: is damaged or was changed"),
         (lambda box: (box / "scene.npz").unlink(), "scene.npz: No such file"),
         # bundle.json is none
-        (content("bundle.json", b""), "bundle.json: Expecting value"),
-        (content("bundle.json", b"[]"), "bundle.json: is of format None, not 3"),
+        (content("bundle.json", lambda _: b"", seals=False), "bundle.json: Expecting value"),
+        (
+            content("bundle.json", lambda _: b"[]", seals=False),
+            "bundle.json: is of format None, not 3",
+        ),
         # bundle.json makes no sense
         (about(format=2), "is of format 2, not 3: of another taxeld; build the bundle"),
         (about(lambda info: info.pop("object")), "object: is required; build the bundle again"),
@@ -123,9 +124,9 @@ def scene(**values: Any) -> Change:
         (about(auto=["density-1"]), "auto: no such proposal or sampler"),
         (about(filter={"particles": 1}), "filter.particles: must be 2..100000, not 1"),
         # the scene is none
-        (flipped("scene.npz", 0.0), "scene.npz: unusable scene (File is not a zip file"),
-        (flipped("scene.npz", 0.5), "scene.npz: unusable scene ("),
-        (scene(), "scene.npz: unusable scene ('silhouette"),
+        (content("scene.npz", lambda _: b""), "scene.npz: unusable scene (File is not a zip file"),
+        (content("scene.npz", lambda data: data[: len(data) // 2]), "scene.npz: unusable scene ("),
+        (scene(silhouette=None), "scene.npz: unusable scene ('silhouette"),
         (scene(surface=np.zeros((9, 2))), "surface has the shape (9, 2)"),
         (scene(slices=np.zeros((3, 4))), "slices is no array of 3 dimensions"),
         (scene(origin=np.array(["here", "there"])), "origin is no array"),
@@ -139,7 +140,10 @@ def scene(**values: Any) -> Change:
             "no contact with this skin can be made",
         ),
         # a sampler that may be used is none, though another is preferred
-        (flipped("density-16.onnx", 0.2), "density-16.onnx: unusable sampler ("),
+        (
+            content("density-16.onnx", lambda data: data[: len(data) // 5]),
+            "density-16.onnx: unusable sampler (",
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -206,79 +210,49 @@ def test_what_was_enough_holds_unless_the_file_gives_any_of_these_keys(
     assert (now.particles, now.particles_max, now.injected) == expected
 
 
-SMALL = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
-TAXELS, OWN = len(SMALL), Path("bundle/own.onnx")
-Shape = Sequence[int | str]
-ADDED = (helper.make_node("Add", ["flat", "w"], ["poses"]),)
+SMALL, OWN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"), Path("own.onnx")
+SAMPLER = """<ir_version: 8, opset_import: ["" : 17], metadata_props: ["layout": "null"]>
+sampler (float[1,16] z, float[1,16] live, float[1,samples,4] noise) => (float[samples,4] poses)
+<float[1] w = {0.5}> {
+    flat = ReduceMean <axes = [0], keepdims = 0> (noise)
+    poses = Add (flat, w)
+}"""
+W = "float[1] w = {0.5}"
+OF_GIGABYTES = """int64[1] n = {1000000000}> {
+    large = ConstantOfShape (n)
+    w = ReduceMax <keepdims = 0> (large)"""
 
 
-def graph(
-    nodes: Sequence[onnx.NodeProto] = ADDED,
-    *weights: TensorProto,
-    noise: Shape = (1, "samples", 4),
-    z: Shape = (1, TAXELS),
-    kind: int = TensorProto.FLOAT,
-    names: tuple[str, str, str] = ("z", "live", "noise"),
-    layout: str = "",
-) -> bytes:
-    """A graph that makes `poses` of `flat`, the mean of the noise's steps, and of weights.
-
-    Without nodes and weights of its own it is a sampler: the noise and half a unit.
-    """
-    weights = weights or (helper.make_tensor("w", kind, [1], [0.5]),)
-    inputs = [
-        helper.make_tensor_value_info(name, kind, shape)
-        for name, shape in zip(names, (z, (1, TAXELS), noise), strict=True)
-    ]
-    flat = helper.make_node("ReduceMean", [names[2]], ["flat"], axes=[0], keepdims=0)
-    poses = helper.make_tensor_value_info("poses", kind, None)
-    made = helper.make_graph([flat, *nodes], "sampler", inputs, [poses], weights)
-    model = helper.make_model(made, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    if layout:
-        helper.set_model_props(model, {"layout": layout})
-    return bytes(model.SerializeToString())
-
-
-def of_gigabytes() -> bytes:
-    """A sampler of some hundred bytes that makes a constant of 4 GB."""
-    value = helper.make_tensor("value", TensorProto.FLOAT, [1], [1.0])
-    made = helper.make_node("ConstantOfShape", ["w"], ["large"], value=value)
-    one = helper.make_node("ReduceMax", ["large"], ["one"], keepdims=0)
-    poses = helper.make_node("Add", ["flat", "one"], ["poses"])
-    return graph([made, one, poses], helper.make_tensor("w", TensorProto.INT64, [1], [10**9]))
-
-
-def elsewhere(location: str) -> TensorProto:
-    """A weight that lies in another file."""
-    weight = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=[1])
-    weight.data_location = TensorProto.EXTERNAL
-    for key, value in (("location", location), ("offset", "0"), ("length", "4")):
-        weight.external_data.add(key=key, value=value)
-    return weight
+def graph(old: str = "", new: str = "") -> bytes:
+    """A graph whose poses are the noise and half a unit, with a change of its text."""
+    return bytes(onnx.parser.parse_model(SAMPLER.replace(old, new)).SerializeToString())
 
 
 def test_a_sampler_gives_poses() -> None:
-    made, live = Sampler(graph(), SMALL, "density", OWN), np.ones(TAXELS, bool)
-    assert made.propose(np.eye(1, TAXELS)[0], live, 30, np.random.default_rng(0)).shape == (30, 3)
+    made, live = Sampler(graph(), SMALL, "density", OWN), np.ones(16, bool)
+    assert made.propose(np.eye(1, 16)[0], live, 30, np.random.default_rng(0)).shape == (30, 3)
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
         (graph()[:200], ""),
-        (graph(z=(1, TAXELS + 1)), f"is not for a skin of {TAXELS} taxels"),
-        (graph(layout='"77"'), f"is for the layout 77, not for {SMALL.name}"),
-        (graph(noise=(1, 8, 4)), "noise is not"),
-        (graph(noise=(1, "samples", 5)), "noise is not"),
-        (graph(noise=("steps", "samples", 4)), "noise is not"),
-        (graph(noise=(10**9, "samples", 4)), "noise is not"),
-        (graph(names=("z", "live", "seed")), "inputs are not"),
-        (graph(kind=TensorProto.DOUBLE), ""),
-        (graph([helper.make_node("Loop", ["w", "", "flat"], ["poses"])]), "loops or branches"),
-        (graph(ADDED, helper.make_tensor("w", 1, [1], [np.nan])), "no finite poses"),
-        (graph(ADDED, helper.make_tensor("w", 1, [3, 1, 1], [0.0] * 3)), ""),
-        (of_gigabytes(), "is smaller than requested bytes of 4000000000"),
-        (graph(ADDED, elsewhere("../secret.bin")), "names other files as its weights"),
+        (graph("float[1,16] z", "float[1,17] z"), "is not for a skin of 16 taxels"),
+        (graph('"null"', '"77"'), f"is for the layout 77, not for {SMALL.name}"),
+        (graph("[1,samples,4]", "[1,8,4]"), "noise is not"),
+        (graph("[1,samples,4]", "[1,samples,5]"), "noise is not"),
+        (graph("[1,samples,4]", "[steps,samples,4]"), "noise is not"),
+        (graph("[1,samples,4]", "[1000000000,samples,4]"), "noise is not"),
+        (graph("noise", "seed"), "inputs are not"),
+        (graph("float", "double"), ""),
+        (graph("Add (flat, w)", "Loop (w, , flat)"), "loops or branches"),
+        (graph("0.5", "nan"), "no finite poses"),
+        (graph(W, "float[3,1,1] w = {0, 0, 0}"), ""),
+        (graph(f"{W}> {{", OF_GIGABYTES), "is smaller than requested bytes of 4000000000"),
+        (
+            graph(W, 'float[1] w = ["location": "../x.bin", "offset": "0", "length": "4"]'),
+            "names other files as its weights",
+        ),
     ],
 )
 def test_a_graph_that_is_no_sampler_is_one_line(content: bytes, said: str) -> None:
