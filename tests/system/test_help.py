@@ -1,9 +1,10 @@
-"""Help, versions and missing packages: what a newcomer meets first."""
+"""Help, missing packages, manual pages and completions: what a newcomer meets first."""
 
 import argparse
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -151,3 +152,50 @@ def test_a_missing_extra_is_one_line_that_names_the_command_that_installs_it(
     ran = python(code, check=False)
     line = rf".*is not installed: {re.escape(sys.executable)} -m pip install \S.*\n"
     assert (ran.returncode, bool(re.fullmatch(line, ran.stderr))) == (2, True), ran.stderr
+
+
+FILES = manuals.files()
+COMMANDS = manuals.commands_of(PROGRAMS["taxeld"]._parser())
+
+
+@pytest.mark.skipif(not shutil.which("groff"), reason="groff is not installed")
+@pytest.mark.parametrize("program", manuals.PROGRAMS)
+def test_groff_has_nothing_to_say_against_a_page(program: str) -> None:
+    command = ["groff", "-man", "-wall", "-Wbreak", "-Kutf8", "-Tutf8", "-z"]
+    page = FILES[f"share/man/man1/{program}.1"]
+    done = subprocess.run(command, input=page, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_page_has_each_command_with_its_options_and_examples(name: str) -> None:
+    page, command = FILES["share/man/man1/taxeld.1"].replace(r"\-", "-"), COMMANDS[name]
+    options = set(command._option_string_actions) - {"--help"}
+    shown = [f".SS \\fBtaxeld {name}\\fR\n{command.description}", *options]
+    assert [each for each in (*shown, *str(command.epilog).splitlines()) if each not in page] == []
+
+
+OFFERED = [(["run", "READ"], {"README.md"}), (["ru"], {"run"}), ([""], set(COMMANDS))]
+OFFERED += [([name, "-"], set(made._option_string_actions)) for name, made in COMMANDS.items()]
+
+
+@pytest.mark.parametrize(
+    ("words", "offers"), OFFERED, ids=[" ".join(words) for words, _ in OFFERED]
+)
+def test_bash_completes_commands_options_choices_and_files(
+    words: list[str], offers: set[str]
+) -> None:
+    typed = " ".join(f"'{word}'" for word in ("taxeld", *words))
+    script = (
+        f"{FILES['share/bash-completion/completions/taxeld']}\n"
+        f"COMP_WORDS=({typed}) COMP_CWORD={len(words)}\n_shtab_taxeld 2>/dev/null\n"
+        'printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    command = ["bash", "--norc", "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert offers <= set(done.stdout.split())
+
+
+def test_each_program_that_pip_installs_has_a_page() -> None:
+    scripts = {name: place.split(":")[0] for name, place in PROJECT["scripts"].items()}
+    assert scripts == manuals.PROGRAMS
