@@ -9,7 +9,6 @@ import os
 import pty
 import select
 import socket
-import tempfile
 import termios
 import tty
 from collections.abc import Callable, Iterator
@@ -34,13 +33,6 @@ from tests.rig.skins import SKIN
 NAMES = {"publish": "publish.endpoints", "control": "control.endpoint"}
 CAPABILITIES = 0x20080522  # version 3 of the kernel's interface
 MAY_ALL = 0b110  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
-
-
-@pytest.fixture
-def place() -> Iterator[Path]:
-    """A directory whose name is short enough for a socket."""
-    with tempfile.TemporaryDirectory() as made:
-        yield Path(made)
 
 
 @pytest.fixture(autouse=True)
@@ -77,10 +69,10 @@ def answering(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return lambda: monkeypatch.setattr(client, "ask", lambda *_: {"ok": True})
 
 
-def configured(place: Path, **tables: Table) -> Path:
+def configured(tmp_path: Path, **tables: Table) -> Path:
     """A daemon that serves nobody, and has no object, as that opens slowly."""
     nobody: dict[str, Table] = {"publish": {"endpoints": []}, "control": {"endpoint": ""}}
-    return configuration(place, **{"scene": {}, **nobody, **tables})
+    return configuration(tmp_path, **{"scene": {}, **nobody, **tables})
 
 
 SPEED = "source.channel: {} must end with @ and a line speed, as /dev/null@115200"
@@ -146,7 +138,7 @@ AWAY = [  # the same, of a device for which a run waits
 )
 @pytest.mark.usefixtures("plain_user")
 def test_check_says_what_run_says_of_a_device_that_does_not_open(
-    place: Path,
+    tmp_path: Path,
     ends: tuple[int, Path],
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -157,12 +149,12 @@ def test_check_says_what_run_says_of_a_device_that_does_not_open(
 ) -> None:
     line = ends[1]
     line.chmod(0 if "permission" in begin else 0o600)
-    channel = source.get("channel", "x").format(place=place, line=line)
-    path = configured(place, source={"kind": "can", **source, "channel": channel})
+    channel = source.get("channel", "x").format(place=tmp_path, line=line)
+    path = configured(tmp_path, source={"kind": "can", **source, "channel": channel})
     for target, failing in fails.items():
         monkeypatch.setattr(target, failing)
     told = refused("check", path).rstrip()
-    assert told.startswith(begin.format(place=place, line=line))
+    assert told.startswith(begin.format(place=tmp_path, line=line))
     try:
         open_source(load(path).source, {0: SKIN}, wait=True).close()
         said = caplog.messages
@@ -173,13 +165,13 @@ def test_check_says_what_run_says_of_a_device_that_does_not_open(
 
 @pytest.mark.parametrize("kind", [SERIAL, {"kind": "can", **SLCAN}], ids=["serial", "slcan"])
 def test_a_device_is_opened_for_this_process_alone_and_nothing_is_sent_to_it(
-    place: Path, ends: tuple[int, Path], kind: Table, answering: Callable[[], None]
+    tmp_path: Path, ends: tuple[int, Path], kind: Table, answering: Callable[[], None]
 ) -> None:
     """Unless the other process is a daemon that answers. The locks of two open files of one process
     keep each other out as those of two do."""
     far, line = ends
-    control = {"endpoint": f"ipc://{place}/control"}
-    path = configured(place, source={**kind, "channel": line}, control=control)
+    control = {"endpoint": f"ipc://{tmp_path}/control"}
+    path = configured(tmp_path, source={**kind, "channel": line}, control=control)
     cure = f"another process has it open; stop that first, 'fuser {line}' tells which"
     with line.open("rb", buffering=0) as held:
         printed("check", path)  # who only has it open keeps nobody out
@@ -193,14 +185,14 @@ def test_a_device_is_opened_for_this_process_alone_and_nothing_is_sent_to_it(
 
 
 def test_more_scans_than_the_bus_carries_are_refused_with_the_period_that_it_does(
-    place: Path,
+    tmp_path: Path,
 ) -> None:
     source = {**QUIET, "bitrate": 10_000, "period_ms": 266}
-    assert refused("check", configured(place, source=source)) == (
+    assert refused("check", configured(tmp_path, source=source)) == (
         "source.period_ms: 8 modules every 266 ms are 86 frames/s, and a bus of 10000 bit/s "
         "carries 86: at least 267 ms\n"
     )
-    printed("check", configured(place, source=source | {"period_ms": 267}))
+    printed("check", configured(tmp_path, source=source | {"period_ms": 267}))
 
 
 def listening(at: Path) -> socket.socket:
@@ -227,20 +219,21 @@ def listening(at: Path) -> socket.socket:
 )
 @pytest.mark.usefixtures("plain_user")
 def test_an_endpoint_that_cannot_be_had_is_refused(
-    place: Path,
+    tmp_path: Path,
     answering: Callable[[], None],
     key: str,
     made: Callable[[Path], socket.socket | None],
     words: str,
 ) -> None:
     """One that is served is none, if a daemon answers."""
-    at = place / "run" / "s"
+    at = tmp_path / "run" / "s"
     at.parent.mkdir()
     with made(at) or contextlib.nullcontext():
-        named = {"endpoint": f"ipc://{at}", "endpoints": [f"ipc://{at}"]}
-        served = {"control": {"endpoint": f"ipc://{place}/control"}}
-        served[key] = {name: named[name] for name in [NAMES[key].partition(".")[2]]}
-        path = configured(place, source=QUIET, **served)
+        served: dict[str, Table] = {
+            "publish": {"endpoints": [f"ipc://{at}"] if key == "publish" else []},
+            "control": {"endpoint": f"ipc://{at if key == 'control' else tmp_path / 'control'}"},
+        }
+        path = configured(tmp_path, source=QUIET, **served)
         told = refused("check", path) if words else f"{NAMES[key]}: {printed('check', path)}"
         assert told.startswith(f"{NAMES[key]}: ")
         assert words.format(at=at) in told
@@ -250,13 +243,13 @@ def test_an_endpoint_that_cannot_be_had_is_refused(
 
 @pytest.mark.parametrize(("flags", "is_down"), [(0x40C0, True), (0x40C1, False)])
 def test_an_interface_that_is_down_is_noted(
-    place: Path, monkeypatch: pytest.MonkeyPatch, flags: int, is_down: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: int, is_down: bool
 ) -> None:
-    monkeypatch.setattr(check, "SYS_NET", place)
+    monkeypatch.setattr(check, "SYS_NET", tmp_path)
     monkeypatch.setattr(check, "open_device", lambda *_: GivenDevice())
-    (place / "can0").mkdir()
-    (place / "can0" / "flags").write_text(f"{flags:#x}\n", encoding="ascii")
-    said = printed("check", configured(place, source={"kind": "can", "channel": "can0"}))
+    (tmp_path / "can0").mkdir()
+    (tmp_path / "can0" / "flags").write_text(f"{flags:#x}\n", encoding="ascii")
+    said = printed("check", configured(tmp_path, source={"kind": "can", "channel": "can0"}))
     noted = "note: source.channel: can0 is down; bring it up: ip link set can0 up type can"
     assert (noted in said) == is_down
 
@@ -272,10 +265,10 @@ def test_an_interface_that_is_down_is_noted(
 )
 @pytest.mark.usefixtures("plain_user")
 def test_no_permission_or_another_program_is_not_no_daemon(
-    place: Path, monkeypatch: pytest.MonkeyPatch, closed: str, group: str, told: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, closed: str, group: str, told: str
 ) -> None:
-    at = place / "run"
-    for directory in (at, place / "other"):
+    at = tmp_path / "run"
+    for directory in (at, tmp_path / "other"):
         directory.mkdir()
     monkeypatch.setattr(getpass, "getuser", lambda: "robin")
     monkeypatch.setattr(Path, "group", lambda _: group)
@@ -289,13 +282,13 @@ def test_no_permission_or_another_program_is_not_no_daemon(
 
 @pytest.mark.usefixtures("plain_user")
 def test_who_is_not_in_the_group_is_told_of_the_services_daemon(
-    place: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for directory, mode in (("taxeld", 0), ("own", 0o700)):
-        (place / directory).mkdir(mode=mode)
-    monkeypatch.setattr(endpoints, "RUNTIME", place / "taxeld")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "own"))
-    endpoint = f"ipc://{place}/own/taxeld/control"
+        (tmp_path / directory).mkdir(mode=mode)
+    monkeypatch.setattr(endpoints, "RUNTIME", tmp_path / "taxeld")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "own"))
+    endpoint = f"ipc://{tmp_path}/own/taxeld/control"
     told = refused("status", endpoint, status=1)
     assert told.startswith(f"no daemon answers at {endpoint}; is 'taxeld run' there? That of the ")
-    assert f"That of the service, in {place}/taxeld, is " in told
+    assert f"That of the service, in {tmp_path}/taxeld, is " in told
