@@ -1,6 +1,7 @@
 """The layout value: numbering, digest, turns; generated layouts; the cylinder fit; the command."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from taxeld.layout import fit
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld_protocol.modules import wired
-from tests.rig.commands import printed, refused
+from tests.rig.commands import printed
 
 DEFAULT = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 WRAP = "wrap:modules=12,radius_m=0.04,rows=2"
@@ -32,40 +33,38 @@ def arc(degrees: float, radius_m: float = 0.07, rows: int = 8, columns: int = 20
 
 def test_a_cylinders_taxels_go_row_by_row_from_below_and_counter_clockwise():
     skin = layouts.load(DEFAULT)
-    assert skin.digest == "cc915a300678428f", "bundles refer to it"
-    assert skin.name == DEFAULT
+    assert (skin.digest, skin.name) == ("cc915a300678428f", DEFAULT), "bundles refer to it"
     row, angle = np.divmod(np.arange(80), 16) * np.array([[1.0], [2 * math.pi / 16]])
     normal = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     place = 0.04 * normal + (row[:, None] - 2) * [0.0, 0.0, 0.015]
     np.testing.assert_allclose(skin.position_m, place, atol=1e-15)
     np.testing.assert_allclose(skin.normal, normal, atol=1e-15)
-    np.testing.assert_array_equal(skin.frame, np.eye(4))
+    assert (skin.frame == np.eye(4)).all()
 
 
 @pytest.mark.parametrize("sui", [1, 9])
-def test_uid_is_module_and_name_ten_taxels_a_module(sui):
-    skin = layouts.load(f"cylinder:rows=1,columns=23,radius_m=0.04,pitch_m=0.015,sui={sui}")
+def test_uid_is_module_and_name_ten_taxels_a_module_and_changes_no_bundle(sui):
+    spec = "cylinder:rows=1,columns=23,radius_m=0.04,pitch_m=0.015"
+    skin = layouts.load(f"{spec},sui={sui}")
     assert skin.uid.tolist() == [((i // 10 + sui) << 4) | (i % 10 + 1) for i in range(23)]
     modules = [(m.sui, m.mask) for m in wired(skin.uid.tolist())]
     assert modules == [(sui, 0x7FF), (sui + 1, 0x7FF), (sui + 2, 0xF)]
+    assert skin.digest == layouts.load(spec).digest
 
 
-def test_the_first_module_of_a_layout_changes_no_bundle():
-    assert layouts.load(f"{DEFAULT},sui=9").digest == layouts.load(DEFAULT).digest
+TRIANGLE_MM = [(12, 5.657), (4, 5.657), (-4, 5.657), (-12, 5.657), (-8, 0), (-4, -5.657),
+               (0, -11.314), (4, -5.657), (8, 0), (0, 0)]  # fmt: skip
 
 
 def test_a_wraps_triangle_is_the_measured_one_and_the_next_stands_on_its_head():
     skin = layouts.load(WRAP)
     x = np.arctan2(skin.position_m[:10, 1], skin.position_m[:10, 0]) * 40.0
-    z = skin.position_m[:, 2].reshape(2, 12, 10)
-    relative = np.column_stack([x, z[0, 0] * 1e3]) - [x[9], z[0, 0, 9] * 1e3]
-    t = [(12, 5.657), (4, 5.657), (-4, 5.657), (-12, 5.657), (-8, 0), (-4, -5.657),
-         (0, -11.314), (4, -5.657), (8, 0), (0, 0)]  # fmt: skip
-    np.testing.assert_allclose(relative, t, atol=1e-9)
+    z = skin.position_m[:, 2].reshape(2, 12, 10) * 1e3
+    relative = np.column_stack([x - x[9], z[0, 0] - z[0, 0, 9]])
+    np.testing.assert_allclose(relative, TRIANGLE_MM, atol=1e-9)
     up = z - z[:, :, 9:]
-    np.testing.assert_allclose(up[0, 1], -up[0, 0], atol=1e-15)
-    np.testing.assert_allclose(up[1, 0], -up[0, 0], atol=1e-15)
-    np.testing.assert_allclose(up[0, 2], up[0, 0], atol=1e-15)
+    heads = [up[0, 1], up[1, 0], -up[0, 2]]
+    np.testing.assert_allclose(heads, np.tile(-up[0, 0], (3, 1)), atol=1e-12)
     assert skin.uid.tolist() == [s << 4 | name for s in range(1, 25) for name in range(1, 11)]
 
 
@@ -128,16 +127,12 @@ def test_a_taxel_out_of_place_or_two_at_one_place_break_the_symmetry():
         ("wrap:modules=248,radius_m=2,rows=2", "modules × rows: must be at most 248"),
         ("nowhere/skin", "nowhere/skin: unreadable (No such file"),
         ("x" * 5000 + ".json", "unreadable"),
-        ("\0.txt", "skin.layout"),
+        ("\0.txt", ""),
     ],
 )
 def test_text_that_is_no_layout_is_one_line_with_the_cure(spec, words):
-    with pytest.raises(SetupError) as caught:
+    with pytest.raises(SetupError, match=rf"^skin\.layout: [^\n]*{re.escape(words)}[^\n]*$"):
         layouts.load(spec)
-    message = str(caught.value)
-    assert message.startswith("skin.layout: ")
-    assert words in message
-    assert "\n" not in message
 
 
 def test_a_full_turn_keeps_the_files_own_axis_as_angle_0():
@@ -162,8 +157,8 @@ def test_a_fit_of_half_a_circle_with_noise_does_not_shrink():
 def test_a_fit_says_so_where_there_is_no_cylinder(what):
     position, normal = arc(180.0)
     rng = np.random.default_rng(0)
-    up = rng.standard_normal(normal.shape)
-    up = np.abs(up / np.linalg.norm(up, axis=1, keepdims=True) * [1, 1, -1]) * [1, 1, 1]
+    up = np.abs(rng.standard_normal(normal.shape))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
     position, normal = {
         "flat": (position * [0, 1, 1], np.tile([1.0, 0.0, 0.0], (len(normal), 1))),
         "point": (0.0 * position, normal),
@@ -172,8 +167,7 @@ def test_a_fit_says_so_where_there_is_no_cylinder(what):
         "dome": (0.05 * up, up),
     }[what]
     found = fit.cylinder(position, normal)
-    assert math.isinf(found.radius_m)
-    assert found.why_none
+    assert (found.radius_m, bool(found.why_none)) == (math.inf, True)
     assert np.isfinite(found.frame).all()
 
 
@@ -189,10 +183,11 @@ def test_pitch_leaves_out_taxels_at_the_same_place_and_tilted_normals_are_counte
 
 
 def test_the_command_prints_every_fact():
-    text = printed("layout", DEFAULT)
-    for word in (
-        *("80 in 8 modules", "0 missing, 0 cut, 0 duplicate", "metres", "40.0 mm", "360.0°"),
-        *("60.0 mm", "15.00 mm", "order 16", "cc915a300678428f"),
-    ):
-        assert word in text
-    refused("layout", "sphere:")
+    text, facts = (
+        printed("layout", DEFAULT),
+        (
+            *("80 in 8 modules", "0 missing, 0 cut, 0 duplicate", "metres", "40.0 mm", "360.0°"),
+            *("60.0 mm", "15.00 mm", "order 16", "cc915a300678428f"),
+        ),
+    )
+    assert [fact for fact in facts if fact not in text] == []
