@@ -144,7 +144,7 @@ READERS = {  # by the name of the file
     "scene.npz": Reader(scene_used, there(SHIPPED / "scene.npz"), 30),
     "sampler.onnx": Reader(
         lambda path: Sampler(path.read_bytes(), loaded().model.layout, "density", path.parent),
-        there(SHIPPED / "density-16.onnx"),
+        there(SHIPPED / "density-64.onnx"),
         30,
     ),
     "skin.csv": Reader(layout_used, lambda _: [TABLE]),

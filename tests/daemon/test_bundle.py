@@ -113,6 +113,8 @@ def scene(**values: Any) -> Change:
         ),
         # bundle.json makes no sense
         (about(format=2), "is of format 2, not 3: of another taxeld; build the bundle"),
+        (about(grid_error_mm={}), "grid_error_mm: unknown key; known: format, object"),
+        (sampler("flops", 9), "samplers[0].flops: unknown key"),
         (about(lambda info: info.pop("object")), "object: is required; build the bundle again"),
         (about(depth_max_m=0.04), "was built for 0.04; set it to that"),
         (about(lambda info: info["layout"].pop("digest")), "layout.digest: is required"),
@@ -141,8 +143,8 @@ def scene(**values: Any) -> Change:
         ),
         # a sampler that may be used is none, though another is preferred
         (
-            content("density-16.onnx", lambda data: data[: len(data) // 5]),
-            "density-16.onnx: unusable sampler (",
+            content("density-64.onnx", lambda data: data[: len(data) // 5]),
+            "density-64.onnx: unusable sampler (",
         ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",

@@ -43,8 +43,7 @@ def fitted(
     variant: Variant, model: ObservationModel, touches: SimulatedTouches, updates: int
 ) -> torch.nn.Module:
     small = variants.trained_with(variant, updates / variant.training.updates, 20_000, 0)
-    (network,) = variants.fit([small], model, Noise(), touches)
-    return variants.sampler_of(network)
+    return variants.sampler_of(variants.fit(small, model, Noise(), touches))
 
 
 @pytest.mark.parametrize(
@@ -81,45 +80,9 @@ def test_a_trained_model_is_near_the_posterior(tmp_path: Path) -> None:
     assert quality.distances(learned, to, rng).mean() < 0.12 * uninformed
 
 
-def test_a_model_trained_beside_others_is_the_one_that_is_trained_alone() -> None:
-    """Those of other batches, and of fewer updates, among them."""
-    few = {"density": 4, "ddpm": 6, "paper": 5}
-    given = [
-        variants.trained_with(SMALL[name], updates / TRAINING.updates, 5_000, 0)
-        for name, updates in few.items()
-    ]
-    beside = variants.fit(given, MODEL, Noise(), TOUCHES)
-    for variant, one in zip(given, beside, strict=True):
-        (alone,) = variants.fit([variant], MODEL, Noise(), TOUCHES)
-        for name, weight in alone.state_dict().items():
-            assert torch.equal(weight, one.state_dict()[name]), (variant.family, name)
-
-
-def density() -> ContactDensity:
-    torch.manual_seed(0)
-    return ContactDensity(NetworkConfig(8, 16), best(SKIN), ContactFrame(MODEL)).eval()
-
-
-def test_the_densitys_samples_follow_its_histogram() -> None:
-    """Counts a bin against the probabilities that the network gives, to within one sample."""
-    net = density()
-    with torch.no_grad():
-        net.logits.bias.copy_(torch.randn(BINS, generator=torch.Generator().manual_seed(1)))
-        net.logits.weight.mul_(0.1)
-    z = torch.zeros(1, 32)
-    z[0, 5] = 0.7
-    live, noise = torch.ones(1, 32), torch.randn(1, 20_000, 4)
-    with torch.no_grad():
-        share = torch.softmax(net.logits(net.encode(z, live)[0])[0], 0)
-        four = net(z, live, noise).double().numpy()
-    poses = np.column_stack([four[:, 0], four[:, 1], np.arctan2(four[:, 3], four[:, 2])])
-    s = net.frame.encode(poses)[:, 0]
-    counts = torch.bincount((s * BINS).long().clamp(max=BINS - 1), minlength=BINS) / 20_000
-    assert (counts - share).abs().max() < 0.004  # the lookup of s rounds at a bin's edge
-
-
 def test_the_density_integrates_to_one() -> None:
-    net = density()
+    torch.manual_seed(0)
+    net = ContactDensity(NetworkConfig(8, 16), best(SKIN), ContactFrame(MODEL)).eval()
     net.scale.copy_(torch.tensor([0.1, 0.001]))
     side, half = 49, 12.0
     at = torch.linspace(-half, half, side)
@@ -213,8 +176,7 @@ def test_a_ring_sees_the_same_touch_at_every_column() -> None:
 
 
 def test_a_skin_without_symmetry_sees_nearly_the_same_touch_from_every_side() -> None:
-    """As the taxels lie unevenly, the window is compared by where its weight is. It keeps every
-    taxel near the touch."""
+    """As the taxels lie unevenly, the window is compared by where its weight is."""
     view = best(HALF_SKIN)
     assert isinstance(view, Centred)
     centres = []
@@ -225,11 +187,6 @@ def test_a_skin_without_symmetry_sees_nearly_the_same_touch_from_every_side() ->
         offset = (grid * cells).sum() / grid.sum() / view.cells_per_rad
         centres.append(float(angle[0] + offset) - turn)
     assert np.ptp(centres) < 0.15
-    x, y, _ = HALF_SKIN.position_m.T
-    seen, angle = view(torch.eye(60)[30:31], torch.ones(1, 60))
-    assert torch.isclose(seen[0, : view.width // 3].sum(), torch.tensor(1.0), atol=1e-5)
-    near = np.abs(np.arctan2(y, x) - float(angle[0])) < 0.65
-    assert seen[0, -(view.width // 3) :].sum() >= near.sum() - 1e-3
 
 
 @pytest.mark.parametrize("kind", [Plain, Turned, Centred])

@@ -39,9 +39,9 @@ def _build(args: argparse.Namespace) -> int:
             "one for each --layout"
         )
     heights_m = (heights_m * len(skins))[: len(skins)]
-    sampler = None if args.table else candidates.of(args.effort, ddpm=args.ddpm)
+    samplers = [] if args.table else candidates.of(args.effort, ddpm=args.ddpm)
     trials = closing.ENOUGH if args.table or args.effort >= 1.0 else closing.FEW
-    asked = args.object, skins, heights_m, _depth_m(args), args.out, sampler, args.foam, trials
+    asked = args.object, skins, heights_m, _depth_m(args), args.out, samplers, args.foam, trials
     for line in Build(*asked).run():
         print(line)
     return 0

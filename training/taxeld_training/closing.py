@@ -1,8 +1,8 @@
 """The trials that a build ends with: whether a sampler pays, and what touch cannot tell apart.
 
 They are trials as everywhere: after each touch a filter has *found* the object or not, is *sure* or
-not, and may *mislead*. Filters of several sizes, with the bundle's own sampler and with the table,
-meet the same touches. The bundle says which of them is enough, and the daemon runs that one.
+not, and may *mislead*. Filters of several sizes with the table, and one with the bundle's own
+sampler, meet the same touches. The bundle says which of them is enough, and the daemon runs that.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,19 +17,18 @@ from taxeld.arrays import Floats
 from taxeld.config import tables
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
-from taxeld.proposals.analytic import ANALYTIC, Table
 from taxeld_hil import jobs
 from taxeld_hil.integrity import Claims
-from taxeld_hil.trials.case import SHIPPED, TABLED, Case, Method
+from taxeld_hil.trials.case import TABLED, Case, Method
 from taxeld_hil.trials.play import Touch, play
 from taxeld_hil.world.conditions import Conditions
 from taxeld_hil.world.subjects import Subject
-from taxeld_training.candidates import interval
 from taxeld_training.progress import Tell
+from taxeld_training.trials.score import by_seeds
 
 STAGE, PAIRS = "trials", "pairs"
 FOAMS = {"exact": Conditions()} | {foam: Conditions(foam=foam) for foam in ("typical", "poor")}
-SIZES = (25, 50, SHIPPED.particles, 200)  # N at least, of the filters that are tried
+SIZES = (25, 50, TABLED.particles, 200)  # N at least, of the filters that are tried
 TOUCHES = 8  # of a trial
 ENOUGH, FEW = 40, 8  # trials; fewer than enough choose no filter
 MARGIN = 0.01  # share of the touches by which a filter that is as good may fall behind
@@ -46,15 +45,12 @@ def size(method: Method) -> str:
 
 
 def tried(sampler: str, trials: int) -> dict[str, Method]:
-    """The filters that are tried, by name, cheapest first; the table's before the sampler's, which
-    takes a training. Of few trials, which choose nothing, only those of the usual size."""
-    sizes = SIZES if trials >= ENOUGH else (SHIPPED.particles,)
-    most = SHIPPED.particles_max // SHIPPED.particles
-    filters = (
-        Method(name, SHIPPED.injection, n, most * n)
-        for n in sizes
-        for name in (Table.name, sampler)
-    )
+    """The filters that are tried, by name: the table's, cheapest first, and the sampler's. Of few
+    trials, which choose nothing, only those of the usual size."""
+    sizes = SIZES if trials >= ENOUGH else (TABLED.particles,)
+    most = TABLED.particles_max // TABLED.particles
+    filters = [replace(TABLED, particles=n, particles_max=most * n) for n in sizes]
+    filters.append(replace(TABLED, proposal=sampler))
     return {f"{each.proposal} {size(each)}": each for each in filters}
 
 
@@ -62,12 +58,12 @@ def counted(folder: Path, layout: str, foam: str, trials: int, tell: Tell) -> di
     """The part of bundle.json about the trials of the bundle in `folder`: of each filter, how many
     had found their object and were sure of it after each touch, and how many misled; and the
     filter that is enough. All meet the same touches."""
-    order = bundle.load(str(folder), layouts.load(layout)).order
-    filters = tried(next(name for name in order if name not in ANALYTIC), trials)
+    manifest = bundle.load(str(folder), layouts.load(layout)).manifest
+    filters = tried(manifest.samplers[0].name, trials)
     of = [(method, 0) for method in filters.values()]
     done = played([folder], layout, foam, of, trials, partial(tell, STAGE))
     told = dict(zip(filters, map(Claims.of_trials, done), strict=True))
-    return _chosen(filters, told, order) | {
+    return chosen(filters, told, manifest.auto) | {
         "touches": {
             "foam": foam,
             "trials": trials,
@@ -124,10 +120,15 @@ def enough(worths: Sequence[Floats], usual: int) -> int:
     apart the usual one is kept.
     """
     best = max(range(len(worths)), key=lambda k: float(worths[k].mean()))
-    if interval(worths[best] - worths[usual])[0] <= 0.0:
+    if _mean(worths[best] - worths[usual])[0] <= 0.0:
         best = usual
-    behind = (interval(worths[best] - each)[1] for each in worths)
+    behind = (_mean(worths[best] - each)[1] for each in worths)
     return next(k for k, most in enumerate(behind) if k == best or most <= MARGIN)
+
+
+def _mean(values: Floats) -> list[float]:
+    """Interval of the mean of values (T,) of trials."""
+    return by_seeds(np.mean, values, np.arange(len(values)))
 
 
 def worth(of: Claims) -> Floats:
@@ -136,15 +137,17 @@ def worth(of: Claims) -> Floats:
     return np.asarray((of.found_and_sure - MISLED * of.misleading).mean(axis=1))
 
 
-def _chosen(
+def chosen(
     filters: dict[str, Method], told: dict[str, Claims], order: Sequence[str]
 ) -> dict[str, Any]:
-    """The parts of bundle.json that the daemon runs; none where too few trials choose nothing."""
-    names = list(filters)
-    if len(names) < len(SIZES):
+    """The parts of bundle.json that the daemon runs; none where too few trials choose nothing. A
+    sampler, which takes a training, is chosen where it is shown to be better than the table."""
+    *tables_own, sampler = filters
+    if len(tables_own) < len(SIZES):
         return {}
-    usual = names.index(f"{Table.name} {size(SHIPPED)}")
-    own = filters[names[enough([worth(told[name]) for name in names], usual)]]
+    worths, usual = [worth(told[name]) for name in filters], SIZES.index(TABLED.particles)
+    is_better = _mean(worths[-1] - worths[usual])[0] > 0.0
+    own = filters[sampler if is_better else tables_own[enough(worths[:-1], usual)]]
     return {
         "auto": [own.proposal, *(name for name in order if name != own.proposal)],
         "filter": {key: getattr(own, key) for key in tables.SIZES},

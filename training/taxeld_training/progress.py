@@ -26,8 +26,10 @@ def shown(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
     def tell(stage: str, done: float) -> None:
         nonlocal share, began_s
         with lock:
+            if stage not in left:
+                return
             share = done
-            if done >= 1.0 and stage in left:
+            if done >= 1.0:
                 write("")
                 left.remove(stage)
                 share, began_s = 0.0, time.monotonic()

@@ -56,9 +56,21 @@ class SamplerEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class Manifest:
-    """The keys of `bundle.json` that the daemon and the harness use. Lengths in metres."""
+class Trials:
+    """The trials that a build ended with."""
 
+    foam: str
+    trials: int
+    # by filter, how many trials are found and sure after each touch, or misled
+    found_and_sure: dict[str, tuple[int, ...]]
+    misleading: dict[str, tuple[int, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """The keys of `bundle.json`. Lengths in metres."""
+
+    format: int
     object: str
     layout: BuiltFor
     files: dict[str, str]  # name → SHA-256 of each file beside bundle.json
@@ -66,10 +78,15 @@ class Manifest:
     auto: tuple[str, ...]  # proposals by preference
     height_m: float = key(check=between(-10, 10))
     depth_max_m: float = key(check=DEPTH)
+    attribution: str | None = None  # that the mesh requires
+    symmetry: int = 1  # number of turns that leave the object as it is
+    repairs: tuple[str, ...] = ()  # of the mesh
     links: tuple[LinkEntry, ...] = ()  # further ones; the first one's is `layout`
     mesh: str = ""  # a file of the bundle with the mesh, where the object is not one of YCB's
     # as many particles and samples as were enough when the bundle was built
     filter: Given[FilterConfig] = field(default_factory=Given)
+    noise: dict[str, float] = field(default_factory=dict)  # that the samplers have learned
+    touches: Trials | None = None
 
     @property
     def all_links(self) -> list[LinkEntry]:
@@ -93,10 +110,10 @@ class Manifest:
 
 
 def parse(text: bytes, path: Path) -> Manifest:
-    """The used keys of `bundle.json`, which `path` names in messages.
+    """What `bundle.json` says, which `path` names in messages.
 
     Raises:
-        SetupError: it is damaged, or of another format.
+        SetupError: it is damaged, or was made by another version.
     """
     faults: list[str] = []
     try:
@@ -106,7 +123,7 @@ def parse(text: bytes, path: Path) -> Manifest:
             raise ValueError(f"is of format {found!r:.70}, not {FORMAT}: of another taxeld")
     except (ValueError, RecursionError) as error:
         raise SetupError(f"{path}: {reason(error)}; {AGAIN}") from None
-    made = gate.take(Manifest, info, faults, more=True)
+    made = gate.take(Manifest, info, faults)
     if made is None or made.fault:
         raise SetupError(f"{path}: {made.fault if made else faults[0]}; {AGAIN}")
     return made

@@ -105,8 +105,7 @@ def _write(info: dict[str, Any], directory: Path) -> None:
     """Raises SetupError where the daemon would refuse it."""
     paths = [*sorted(directory.glob("scene*.npz")), *sorted(directory.glob("*.onnx"))]
     digests = {path.name: manifest.digest(manifest.read(path)) for path in paths}
-    sealed = {"format": manifest.FORMAT} | info  # the format stands first
-    sealed |= {"format": manifest.FORMAT, "files": digests}
+    sealed = {"format": manifest.FORMAT} | info | {"files": digests}  # the format stands first
     text = json.dumps(sealed, indent=1) + "\n"
     manifest.parse(text.encode(), directory / manifest.NAME)
     new = directory / f"{manifest.NAME}.new"

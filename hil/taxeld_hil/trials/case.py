@@ -49,7 +49,6 @@ class Method:
 
 
 TABLED = Method("table", particles_max=FilterConfig().particles_max)  # nothing is trained for it
-SHIPPED = replace(TABLED, proposal="density")  # with a bundle that has a sampler
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,6 @@ class Model(nn.Module, ABC):
     """A network for p(pose | touch): it can be trained, and run as one graph."""
 
     steps = 1  # noises a sample takes: the first axis of the `noise` input
-    multiply_adds: int  # operations once a touch
-    multiply_adds_each: int  # operations once a hypothesis (and step)
 
     def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
         super().__init__()
@@ -67,11 +65,6 @@ class Residual(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """x (B, E) → (B, E)."""
         return x + nn.functional.silu(self.layer(x))
-
-
-def parameters_of(module: nn.Module) -> int:
-    """Weights of linear layers, each a multiply-add in a run."""
-    return sum(m.weight.numel() for m in module.modules() if isinstance(m, nn.Linear))
 
 
 def standard(values: Tensor) -> tuple[Tensor, Tensor]:

@@ -2,7 +2,7 @@
 sees them: 0 under a floor, and 0 where presses beside a taxel may explain what it reads."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
@@ -20,9 +20,18 @@ from taxeld.model.observation import Observation, ObservationModel
 MIN_ACTIVATION = 0.05  # least of the strongest taxel: weaker contacts are not learned or sampled
 SILENT = 5.0  # standard deviations of noise under which a reading is 0: noise is no touch
 FLOOR_MAX = 0.12  # a skin's floor is anything from FLOOR to this: skins and places differ
-IN_USE = noise_of(FilterConfig())  # noise that ships: samplers learn it and are measured by it
+IN_USE = noise_of(FilterConfig())  # the filter's: samplers learn it and are measured by it
 DEAD_SHARE = 0.3  # share of training touches with dead taxels
 DEAD_MAX = 0.3  # largest share of a skin's taxels that is dead
+# All that readings of a training depart by, which a bundle and its samplers name
+LEARNED = {
+    **asdict(IN_USE),
+    "floor": FLOOR,
+    "floor_max": FLOOR_MAX,
+    "silent": SILENT,
+    "dead_share": DEAD_SHARE,
+    "dead_max": DEAD_MAX,
+}
 
 
 @dataclass(frozen=True)
@@ -31,7 +40,6 @@ class SimulatedTouches:
 
     pose: NDArray[np.float64]
     activation: NDArray[np.float32]
-    dropped_share: float  # share of uniform poses whose projection missed the manifold
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -50,23 +58,21 @@ def simulate(
         SetupError: hardly any contact presses a taxel.
     """
     poses, activations = [], []
-    kept = drawn = dropped = 0
+    kept = drawn = 0
     while kept < n:
         contacts = synthesise(model.scene, model.layout.radius_m, model.depth_max_m, 20_000, rng)
         h = model.activation(contacts.pose)
         keep = h.max(axis=1) > MIN_ACTIVATION
         poses.append(contacts.pose[keep])
         activations.append(h[keep].astype(np.float32))
-        kept, drawn, dropped = kept + int(keep.sum()), drawn + 20_000, dropped + contacts.dropped
+        kept, drawn = kept + int(keep.sum()), drawn + 20_000
         progress(min(kept / n, 1.0))
         if drawn >= 400_000 and kept < drawn // 100:
             raise SetupError(
                 "fewer than 1 % of simulated contacts press a taxel: the skin hardly reaches the "
                 "object; look at 'taxeld-train scene OBJECT --png', and change --height-m"
             )
-    return SimulatedTouches(
-        np.concatenate(poses)[:n], np.concatenate(activations)[:n], dropped / drawn
-    )
+    return SimulatedTouches(np.concatenate(poses)[:n], np.concatenate(activations)[:n])
 
 
 class SkinReader:

@@ -16,7 +16,6 @@ from taxeld_training.models.base import (
     AnyView,
     Model,
     NetworkConfig,
-    parameters_of,
     standard,
     uniform_of,
 )
@@ -50,9 +49,6 @@ class ContactDensity(Model):
         self.out = nn.Linear(w, 6 * COMPONENTS)
         self.register_buffer("mean", torch.zeros(2))
         self.register_buffer("scale", torch.ones(2))
-        each = (self.first, self.second, self.out)
-        self.multiply_adds_each = sum(parameters_of(layer) for layer in each)
-        self.multiply_adds = parameters_of(self) - self.multiply_adds_each
 
     def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
         """Like `Model.fit_scale`: z, live (B, M), coordinates (B, 3)."""

@@ -16,7 +16,6 @@ from taxeld_training.models.base import (
     AnyView,
     Model,
     NetworkConfig,
-    parameters_of,
     standard,
 )
 from taxeld_training.models.frames import rotated
@@ -50,9 +49,6 @@ class Denoiser(Model):
         self.out = nn.Linear(w, 4)
         self.register_buffer("mean", torch.zeros(4))
         self.register_buffer("scale", torch.ones(4))
-        each = (self.first, self.second, self.third, self.out)
-        self.multiply_adds_each = sum(parameters_of(layer) for layer in each)
-        self.multiply_adds = parameters_of(self) - self.multiply_adds_each
         self.time = nn.Embedding(config.steps, 3 * w)
         self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
         nn.init.normal_(self.time.weight, std=0.1)

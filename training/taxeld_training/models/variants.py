@@ -2,10 +2,9 @@
 average of the weights."""
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -52,9 +51,9 @@ class Variant:
         return "ddpm" if self.family == "diffusion" else self.family
 
 
-def density(width: int = 64, encoder_width: int = 256, encoder_depth: int = 5) -> Variant:
+def density(width: int = 64, encoder_width: int = 256) -> Variant:
     """One pass; `width` is that of the layers that run once a hypothesis."""
-    network = NetworkConfig(width, encoder_width, encoder_depth)
+    network = NetworkConfig(width, encoder_width)
     return Variant("density", network, TrainConfig(updates=12_000))
 
 
@@ -90,112 +89,61 @@ def trained_with(
 
 
 def fit(
-    given: Sequence[Variant],
+    variant: Variant,
     model: ObservationModel,
     noise: Noise,
     touches: SimulatedTouches,
     progress: Callable[[float], None] = lambda _: None,
-) -> list[Model]:
-    """The trained model of each variant, on its share of `touches`, read as a filter sees them.
-    Those that see the same batches are trained side by side: to draw them takes a good part of the
-    time. `progress` is called with the share of them that is done."""
-    done: dict[Variant, Model] = {}
-    alike: dict[tuple[Any, ...], list[Variant]] = {}
-    for variant in given:
-        own = variant.training
-        kind = own.contacts, own.batch, own.seed, variant.view, variant.frame
-        alike.setdefault(kind, []).append(variant)
-    for (count, *_), some in alike.items():
-        mine = SimulatedTouches(
-            touches.pose[:count], touches.activation[:count], touches.dropped_share
-        )
-        made = _fit_alike(some, model, noise, mine, progress)
-        done |= dict(zip(some, made, strict=True))
-    return [done[variant] for variant in given]
-
-
-def _fit_alike(
-    given: Sequence[Variant],
-    model: ObservationModel,
-    noise: Noise,
-    touches: SimulatedTouches,
-    progress: Callable[[float], None],
-) -> list[Model]:
-    """Models of variants with one view, one frame and the same batches. A batch is drawn and looked
-    at once for all of them, on a second core while they learn from the one before."""
-    runs = [_Run(variant, model) for variant in given]
-    config = given[0].training
-    coordinates = runs[0].model.frame.encode(touches.pose)
-    batches = Batches(touches, coordinates, model.leak, noise, config.seed, runs[0].device)
-    first = batches.draw(SCALE_BATCH)
-    for run in runs:
-        run.begin(first)
+) -> Model:
+    """The trained model of a variant, on its share of `touches`, read as a filter sees them. A
+    batch is drawn and looked at on a second core while the model learns from the one before.
+    `progress` is called with the share that is done."""
+    config = variant.training
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    torch.manual_seed(config.seed)
+    network = _untrained(variant, model).to(device)
+    count = config.contacts
+    mine = SimulatedTouches(touches.pose[:count], touches.activation[:count])
+    coordinates = network.frame.encode(mine.pose)
+    batches = Batches(mine, coordinates, model.leak, noise, config.seed, device)
+    with torch.no_grad():
+        network.fit_scale(*batches.draw(SCALE_BATCH))  # whitened by a large batch
+    averaged = copy.deepcopy(network)
+    weights: list[Tensor] = list(network.parameters())
+    averages: list[Tensor] = list(averaged.parameters())
+    optimizer = torch.optim.AdamW(weights, lr=config.learning_rate, weight_decay=1e-4, fused=True)
+    warm_up = max(1, config.updates // 50)
+    schedule = torch.optim.lr_scheduler.SequentialLR(
+        optimizer,
+        [
+            torch.optim.lr_scheduler.LinearLR(optimizer, 0.05, 1.0, warm_up),
+            torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.updates - warm_up, 1e-5),
+        ],
+        [warm_up],
+    )
 
     def drawn() -> tuple[Tensor, Tensor, Tensor]:
         """Features (B, F), angle (B,) and coordinates (B, 3) of the next batch."""
         z, live, coordinates = batches.draw(config.batch)
-        return *runs[0].model.view(z, live), coordinates
+        return *network.view(z, live), coordinates
 
-    updates = max(run.config.updates for run in runs)
     with ThreadPoolExecutor(1) as beside:
         ahead = beside.submit(drawn)
-        for update in range(1, updates + 1):
+        for update in range(1, config.updates + 1):
             batch, ahead = ahead.result(), beside.submit(drawn)
-            for run in runs:
-                if update <= run.config.updates:
-                    run.update(*batch, update)
+            loss = network.loss(*batch)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(weights, 1.0)
+            optimizer.step()
+            schedule.step()
+            decay = min(config.average, update / (update + 10.0))
+            with torch.no_grad():
+                torch._foreach_lerp_(averages, weights, 1.0 - decay)
             if update % TOLD == 0:
-                progress(update / updates)
+                progress(update / config.updates)
     progress(1.0)
-    return [run.averaged.cpu().eval() for run in runs]
-
-
-class _Run:
-    """A model on its way. It draws from torch's generator as if it were the only one."""
-
-    def __init__(self, variant: Variant, model: ObservationModel) -> None:
-        torch.manual_seed(variant.training.seed)
-        self.config = variant.training
-        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self.model = _untrained(variant, model).to(self.device)
-        self._drawn = torch.get_rng_state()
-
-    def begin(self, batch: tuple[Tensor, Tensor, Tensor]) -> None:
-        """Whiten by a large batch: z, live (B, M) and coordinates (B, 3)."""
-        with torch.no_grad():
-            self.model.fit_scale(*batch)
-        self.averaged = copy.deepcopy(self.model)
-        self._weights: list[Tensor] = list(self.model.parameters())
-        self._averages: list[Tensor] = list(self.averaged.parameters())
-        self._optimizer = torch.optim.AdamW(
-            self._weights, lr=self.config.learning_rate, weight_decay=1e-4, fused=True
-        )
-        updates = self.config.updates
-        warm_up = max(1, updates // 50)
-        self._schedule = torch.optim.lr_scheduler.SequentialLR(
-            self._optimizer,
-            [
-                torch.optim.lr_scheduler.LinearLR(self._optimizer, 0.05, 1.0, warm_up),
-                torch.optim.lr_scheduler.CosineAnnealingLR(
-                    self._optimizer, updates - warm_up, 1e-5
-                ),
-            ],
-            [warm_up],
-        )
-
-    def update(self, seen: Tensor, angle: Tensor, coordinates: Tensor, number: int) -> None:
-        """The update of a number, from 1, by features (B, F), angle (B,), coordinates (B, 3)."""
-        torch.set_rng_state(self._drawn)
-        loss = self.model.loss(seen, angle, coordinates)
-        self._drawn = torch.get_rng_state()
-        self._optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(self._weights, 1.0)
-        self._optimizer.step()
-        self._schedule.step()
-        decay = min(self.config.average, number / (number + 10.0))
-        with torch.no_grad():
-            torch._foreach_lerp_(self._averages, self._weights, 1.0 - decay)
+    return averaged.cpu().eval()
 
 
 def sampler_of(trained: Model) -> AnySampler:

@@ -15,13 +15,12 @@ from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
 from taxeld_hil.trials.case import Case
 from taxeld_hil.world.subjects import Subject, model_of
-from taxeld_training.candidates import interval
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.variants import Variant
 from taxeld_training.trials.questions import Question
-from taxeld_training.trials.score import rounded
+from taxeld_training.trials.score import by_seeds
 
 Row: TypeAlias = dict[str, Any]
 Wanted: TypeAlias = tuple[Subject, tuple[str, ...], str]  # an object, a skin, a proposal
@@ -75,7 +74,7 @@ def train(subject: Subject, skin: str, variant: Variant, file: str) -> dict[str,
     """Train a sampler for an object on a skin and keep it in `file`."""
     model, rng = model_of(subject, skin), np.random.default_rng(variant.training.seed)
     touches = simulate(model, variant.training.contacts, rng)
-    sampler = variants.sampler_of(variants.fit([variant], model, IN_USE, touches)[0])
+    sampler = variants.sampler_of(variants.fit(variant, model, IN_USE, touches))
     part = Path(file).with_suffix(".part")
     gap = export.export(sampler, len(model.layout), part, asdict(variant))
     part.replace(file)
@@ -126,7 +125,7 @@ def distances(
         found[name] = {
             "readings": len(off),
             "distance": round(float(off.mean()), 5),
-            "ci": {"distance": rounded(interval(off), 5)},
+            "ci": {"distance": by_seeds(np.mean, off, np.arange(len(off)), 5)},
             "floor": round(to.floor, 5),
             "ms": round(quality.cost_ms(proposal, to, rng), 3),
         }
