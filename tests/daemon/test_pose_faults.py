@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from taxeld.commands.status import lines
 from taxeld.service.inputs import PoseWatch
 from taxeld.stream.link import PeerLine
 
-from .test_status import rows_of
 from .test_stream_document import documented
 
 NOW = 1_700_000_000.0
@@ -116,6 +116,13 @@ def test_a_clock_that_was_set_is_no_fault_of_the_robot() -> None:
     watch = watched(right)
     watch.clock_stepped()
     assert [heard(watch, NOW + 3600.0 + second) for second in range(9, 12)] == [""] * 3
+
+
+def rows_of(**answer: Any) -> dict[str, str]:
+    """The rows of an answer that is as documented but for this."""
+    usual = {name: documented(f"/taxeld/{name}")[1] for name in ("estimate", "health")}
+    rows = (row.partition(": ") for row in lines(usual | answer))
+    return {name.rstrip(): value for name, _, value in rows}
 
 
 def test_status_has_how_the_poses_come_and_what_is_wrong() -> None:

@@ -17,7 +17,7 @@ from taxeld.proposals import bundle, choice
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.trials.case import SHIPPED, Case
+from taxeld_hil.trials.case import Case, Method
 from taxeld_hil.trials.play import SCAN_S, TICK_S, Direct, play
 from taxeld_hil.world import plan, robot
 from taxeld_hil.world.conditions import Conditions
@@ -280,7 +280,7 @@ def test_what_cannot_be_touched_or_is_no_name_is_one_line(monkeypatch: pytest.Mo
             Case((BOX,), **{key: "x"})  # type: ignore[arg-type]
     monkeypatch.undo()
     with pytest.raises(SetupError, match="003_cracker_box: has no sampler 'density'"):
-        play(Case((Subject("003_cracker_box"),), method=SHIPPED), 0)
+        play(Case((Subject("003_cracker_box"),), method=Method("density")), 0)
 
 
 def test_a_trial_notes_of_which_object_each_estimate_is_and_how_far_off() -> None:
