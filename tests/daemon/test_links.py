@@ -81,6 +81,7 @@ def open_links(tmp_path: Path) -> Iterator[Callable[[bool], TwoHubs]]:
         config = load(path)
         recorder = recorder_of(config, path, tmp_path / "session")
         found = TwoHubs(Daemon(config, recorder), hubs)
+        found.daemon.kept.restore()
         opened.append(found)
         return found
 

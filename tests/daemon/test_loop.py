@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -28,7 +28,6 @@ from taxeld.service import loop
 from taxeld.service.clock import Ready, Ticker
 from taxeld.service.loop import GATHERS, Daemon
 from taxeld.service.notify import Notifier
-from taxeld.source.recorder import Recorder
 from taxeld.stream import messages, topics
 from taxeld_protocol.decoder import Scan
 from tests.rig.clocks import PATIENCE_S, Clock, until
@@ -324,19 +323,11 @@ def hub(tmp_path: Path) -> Iterator[Hub]:
     made.unplug()
 
 
-def daemon_of(place: Path, recorder: Recorder | None = None, **tables: Table) -> Daemon:
+def daemon_of(place: Path, **tables: Table) -> Daemon:
     source = {"kind": "serial", "channel": place / "skin", "period_ms": 10}
     skin, proposal = {"state_dir": place / "state"}, {"proposal": "manifold"}
     more = {**served(place), "control": {"endpoint": ""}, **tables}
-    return Daemon(config(source=source, skin=skin, filter=proposal, **more), recorder)
-
-
-def tick(daemon: Daemon, hub: Hub, holds: Callable[[], bool]) -> None:
-    def tick_once() -> None:
-        hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
-        daemon.tick(time.monotonic(), daemon.take())
-
-    until(holds, tick_once)
+    return Daemon(config(source=source, skin=skin, filter=proposal, **more))
 
 
 @pytest.mark.check

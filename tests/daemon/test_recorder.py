@@ -3,6 +3,7 @@
 import errno
 import os
 import resource
+import shutil
 import signal
 import threading
 import time
@@ -22,6 +23,7 @@ from taxeld_protocol.frames import Chunk, Frame, parse_log_line
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
+from tests.rig.disks import disk
 from tests.rig.processes import PIPES, taxeld
 from tests.rig.sessions import items_of, read
 from tests.rig.skins import CHANNELS, MODULES
@@ -75,7 +77,7 @@ def test_a_recorder_that_is_killed_or_has_a_full_disk_leaves_what_it_heard_but_f
     finally:
         process.kill()
         _, errors = process.communicate(timeout=PATIENCE_S)
-    ended = f"{out}: the recording has ended ({os.strerror(errno.EFBIG)}); it replays up to here\n"
+    ended = f"{out}: the recording has ended ({os.strerror(errno.EFBIG)})\n"
     assert (process.returncode, errors) == ((1, ended) if is_full else (-signal.SIGKILL, ""))
     replayed = taxeld("replay", out, **PIPES)
     printed, errors = replayed.communicate(timeout=PATIENCE_S)
@@ -150,11 +152,26 @@ def test_a_link_that_is_made_meanwhile_ends_the_recording_and_is_not_followed(
     with Recorder(place, moves=False) as recorder:
         (place / session.FRAMES).symlink_to(victim)
         recorder.take(frame(0))
-        until(lambda: recorder.counters.failed)
+        until(lambda: recorder.failed)
     assert not victim.exists()
-    assert caplog.messages == [
-        f"{place}: the recording has ended (File exists); it replays up to here"
-    ]
+    assert caplog.messages == [f"{place}: the recording has ended (File exists)"]
+
+
+@pytest.mark.parametrize("is_full", [False, True])
+def test_a_recording_whose_files_are_removed_has_ended_and_gives_the_disk_its_room_back(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, is_full: bool
+) -> None:
+    with disk(tmp_path / "disk") as small, Recorder(small.place / "s", moves=False) as recorder:
+        recorder.take(frame(0))
+        until(lambda: recorder.written["frames"] == 1)
+        if is_full:
+            small.fill()
+            recorder.take(Chunk(1.0, bytes(8192)))
+            until(lambda: "waits" in caplog.text)
+        shutil.rmtree(small.place / "s")
+        until(lambda: recorder.failed)
+        assert recorder.dropped == is_full
+    assert caplog.messages[-1] == f"{small.place}/s: the recording has ended (its files are gone)"
 
 
 @pytest.mark.parametrize("name", ["file/s", "s" * 300], ids=["below a file", "too long a name"])
@@ -168,81 +185,60 @@ def frame(number: int) -> Frame:
     return Frame(float(number), 0x101, bytes(8))
 
 
-class Disk:
-    """A file's `write`, in a disk that can hang or be full."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.free = 10**9
-        self.moves = threading.Event()
-        self.moves.set()
-        monkeypatch.setattr(recorders, "FileIO", self._file)
-
-    def _file(self, path: Path, mode: str) -> "File":
-        if not self.free:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return File(path, mode, self)
-
-
-class File(recorders.FileIO):
-    def __init__(self, path: Path, mode: str, disk: Disk) -> None:
-        super().__init__(path, mode)
-        self.disk = disk
-
-    def write(self, data: bytes) -> int:  # type: ignore[override]
-        assert self.disk.moves.wait(PATIENCE_S)
-        taken = min(len(data), self.disk.free)
-        if not taken:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        self.disk.free -= taken
-        return int(super().write(data[:taken]))
-
-
 @pytest.mark.parametrize("stays_full", [False, True])
 def test_a_full_disk_is_waited_for_and_costs_nothing_once_it_has_room_or_ends_the_recording(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    stays_full: bool,
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, stays_full: bool
 ) -> None:
-    disk, pose, kept = Disk(monkeypatch), (1.0, 0.1, 0.2, 0.3), 2
-    with Recorder(tmp_path / "s", moves=False) as recorder:
-        recorder.take(frame(0))
-        until(lambda: recorder.counters.frames == 1)
-        disk.free = 70  # one line and a half
-        for number in range(1, 6):
-            recorder.take(frame(number))
-        until(lambda: len(caplog.messages) == 1)
-        recorder.take(frame(6))
-        if not stays_full:
-            disk.free, kept = 10**9, 7
-            until(lambda: recorder.counters.frames == 7)
-            disk.free = 0
-            recorder.pose(*pose)  # needs a new file
-            until(lambda: len(caplog.messages) == 3 or recorder.counters.failed)
-            disk.free = 10**9
-            until(lambda: recorder.counters.poses == 1 or recorder.counters.failed)
-    waits = f"{tmp_path}/s: the recording waits (No space left on device)"
-    ends = f"{tmp_path}/s: the recording has ended (No space left on device); it replays up to here"
-    goes_on = 2 * [waits, f"{tmp_path}/s: the recording goes on"]
-    assert caplog.messages == ([waits, ends] if stays_full else goes_on)
-    assert recorder.counters.dropped == 6 * stays_full, "of the batch that began none counts"
-    assert read(tmp_path / "s") == ([frame(k) for k in range(kept)], [pose] * (not stays_full))
+    pose, sent = (1.0, 0.1, 0.2, 0.3), 400  # more than a page of the disk
+    with disk(tmp_path / "disk") as small:
+        place = small.place / "s"
+        with Recorder(place, moves=False) as recorder:
+            recorder.take(frame(0))
+            until(lambda: recorder.written["frames"] == 1)
+            small.fill()
+            for number in range(1, sent):
+                recorder.take(frame(number))
+            until(lambda: caplog.messages)
+            if not stays_full:
+                small.free()
+                until(lambda: recorder.written["frames"] == sent)
+                small.fill()
+                recorder.take(pose)  # needs a new file
+                until(lambda: len(caplog.messages) == 3)
+                small.free()
+                until(lambda: recorder.written["poses"] == 1)
+        waits = f"{place}: the recording waits (No space left on device)"
+        ends = f"{place}: the recording has ended (No space left on device)"
+        goes_on = 2 * [waits, f"{place}: the recording goes on"]
+        assert caplog.messages == ([waits, ends] if stays_full else goes_on)
+        frames, poses = read(place)
+    assert recorder.dropped == (sent - 1) * stays_full, "of a batch that began none counts"
+    assert frames == [frame(k) for k in range(len(frames))]
+    assert stays_full or (len(frames), poses) == (sent, [pose])
 
 
 def test_a_disk_that_hangs_costs_records_and_never_the_caller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    disk = Disk(monkeypatch)
+    moves = threading.Event()
+    moves.set()
+
+    class Slow(recorders.FileIO):
+        def write(self, data: bytes) -> int:  # type: ignore[override]
+            assert moves.wait(PATIENCE_S)
+            return super().write(data)
+
+    monkeypatch.setattr(recorders, "FileIO", Slow)
     monkeypatch.setattr(recorders, "WAITING_BYTES", 100_000)
     with Recorder(tmp_path / "s", moves=False) as recorder:
-        disk.moves.clear()
+        moves.clear()
         for number in range(2000):
             recorder.take(frame(number))  # in this thread, which the disk would stop for ever
-        dropped = recorder.counters.dropped
+        dropped = recorder.dropped
         recorder.take(Chunk(1.0, bytes(100_000)))  # bytes count, not records alone
-        assert recorder.counters.dropped == dropped + 1
-        disk.moves.set()
-        until(lambda: recorder.counters.frames + dropped == 2000)
+        assert recorder.dropped == dropped + 1
+        moves.set()
+        until(lambda: recorder.written["frames"] + dropped == 2000)
         recorder.take(frame(3000))
     assert 1000 < dropped < 2000
     assert items_of(tmp_path / "s")[-1] == frame(3000)

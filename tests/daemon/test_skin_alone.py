@@ -64,17 +64,14 @@ def test_it_answers_that_there_is_no_object(ran: tuple[Said, list[str]]) -> None
     assert said["reset"][0]["error"].endswith("nothing to forget")
 
 
-def test_a_session_without_an_object_is_replayed_as_its_contacts(tmp_path: Path) -> None:
+def test_check_says_that_nothing_will_be_estimated_and_replay_tells_contacts(
+    tmp_path: Path,
+) -> None:
     write_session(tmp_path, touches=1)
     whole = load(configuration(tmp_path, **NO_SCENE))
+    assert check.faults(whole) == []
+    assert check.notes(whole) == [check.ALONE]
     lines = list(replay(tmp_path, whole))
     said = [json.loads(line) for line in lines]
     assert [len(m["patches"]) for m in said[24:36]] == [0, *[1] * 10, 0]
     assert lines == list(replay(tmp_path, whole))
-
-
-def test_check_notes_that_nothing_will_be_estimated(tmp_path: Path) -> None:
-    write_session(tmp_path)
-    whole = load(configuration(tmp_path, **NO_SCENE))
-    assert check.faults(whole) == []
-    assert check.notes(whole) == [check.ALONE]

@@ -96,7 +96,7 @@ def test_the_length_of_the_sag_is_learned_where_the_cover_sags() -> None:
     assert np.median(learned) == pytest.approx(0.005, rel=0.2)
 
 
-def answered(fit: SkinFit, answers: Floats, contacts: int, seed: int, depth: float = 0.5) -> None:
+def answered(fit: SkinFit, answers: Floats, contacts: int, seed: int, depth: float) -> None:
     """Lessons of 12 contacts each, in which every taxel is pressed."""
     rng, none = np.random.default_rng(seed), np.zeros((12, len(answers)))
     for _ in range(contacts // 12):
@@ -105,19 +105,20 @@ def answered(fit: SkinFit, answers: Floats, contacts: int, seed: int, depth: flo
         fit.teach(lesson)
 
 
-def test_the_share_of_presses_that_a_taxel_answers_is_learned() -> None:
-    answers = np.linspace(0.0, 1.0, TAXELS)
+@pytest.mark.parametrize(
+    ("answers", "depth", "learned"),
+    [
+        (np.linspace(0.0, 1.0, TAXELS), 0.5, np.linspace(0.0, 1.0, TAXELS)),
+        (np.zeros(TAXELS), 0.01, SkinFit(TAXELS, NOISE).noise.answers),  # too light to be felt
+    ],
+)
+def test_the_share_of_presses_that_a_taxel_answers_is_learned(
+    answers: Floats, depth: float, learned: Floats
+) -> None:
     fit = SkinFit(TAXELS, NOISE)
-    answered(fit, answers, 120, seed=1)
-    assert np.abs(fit.noise.answers - answers).mean() < 0.1
+    answered(fit, answers, 120, seed=1, depth=depth)
+    assert np.abs(fit.noise.answers - learned).mean() < 0.1
     assert np.abs(fit.fit.mean[0] - 1.0).max() < 0.1  # a silence tells nothing of the gain
-
-
-def test_presses_too_light_to_be_felt_are_no_silence() -> None:
-    fit = SkinFit(TAXELS, NOISE)
-    before = fit.fit.answers
-    answered(fit, np.zeros(TAXELS), 120, seed=1, depth=0.01)
-    assert np.allclose(fit.fit.answers, before, atol=0.01)
 
 
 def lived(touches: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[FakeRun, Floats]:

@@ -207,7 +207,7 @@ class Run:
 
     def _judge_recording(self) -> None:
         """It replays to the same estimates, or, where the disk failed, to the first of them."""
-        written, whole = self._recorder.counters, not self._kinds & {"disk full", "disk error"}
+        written, whole = self._recorder, not self._kinds & {"disk full", "disk error"}
         lost = written.failed or written.dropped > 0
         self._law(not (whole and lost), "the recording has ended")
         if self._kinds & NOT_IN_A_RECORDING:

@@ -1,23 +1,34 @@
 /* Preloaded into a process: the call number FAILING_CALL, of those that reach a file in
-   FAILING_PLACE, send a datagram or begin a process, fails once by FAILING_ERRNO. */
+   FAILING_PLACE, send a datagram or begin a process, fails once by FAILING_ERRNO. With FAILING_NAME
+   it is of the calls of that name, by the children of the process FAILING_PARENT alone. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
+#include <poll.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 static atomic_long calls;
 
+static int is_named(const char *name)
+{
+    const char *only = getenv("FAILING_NAME"), *parent = getenv("FAILING_PARENT");
+    return only && parent && strcmp(only, name) == 0 && atol(parent) == getppid();
+}
+
 static int fails(const char *name)
 {
+    if (getenv("FAILING_NAME") && !is_named(name))
+        return 0;
     const char *number = getenv("FAILING_CALL"), *reason = getenv("FAILING_ERRNO");
     if (!number || atomic_fetch_add(&calls, 1) + 1 != atol(number))
         return 0;
@@ -31,19 +42,28 @@ static int fails(const char *name)
     return 1;
 }
 
-static int is_ours(const char *path)
+static int is_below(const char *path, const char *place)
 {
-    const char *place = getenv("FAILING_PLACE");
     return place && path && strncmp(path, place, strlen(place)) == 0;
 }
 
-static int is_open_ours(int fd)
+static int is_ours(const char *path)
+{
+    return is_below(path, getenv("FAILING_PLACE"));
+}
+
+static int is_open(int fd, const char *place)
 {
     char link[64], path[PATH_MAX];
     snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
     ssize_t n = readlink(link, path, sizeof path - 1);
     path[n > 0 ? n : 0] = 0;
-    return is_ours(path);
+    return is_below(path, place);
+}
+
+static int is_open_ours(int fd)
+{
+    return is_open(fd, getenv("FAILING_PLACE"));
 }
 
 #define WRAP(type, name, ours, wanted, given)                                                      \
@@ -62,6 +82,11 @@ WRAP(ssize_t, sendto, flags != MSG_NOSIGNAL || to,
      (int fd, const void *data, size_t n, int flags, const struct sockaddr *to, socklen_t size),
      (fd, data, n, flags, to, size))
 WRAP(pid_t, fork, 1, (void), ())
+WRAP(int, poll, is_named("poll"), (struct pollfd *of, nfds_t n, int ms), (of, n, ms))
+WRAP(int, memfd_create, is_named("memfd_create"), (const char *name, unsigned flags), (name, flags))
+WRAP(ssize_t, sendmsg, is_named("sendmsg"), (int fd, const struct msghdr *msg, int flags),
+     (fd, msg, flags))
+WRAP(int, close, is_named("close") && is_open(fd, "/memfd:memory"), (int fd), (fd))
 
 /* Its child would return into a frame that is gone. */
 pid_t vfork(void) { return fork(); }

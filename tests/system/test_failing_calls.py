@@ -35,7 +35,7 @@ def recorded(place: Path) -> int:
     return len(file.read_bytes().splitlines()) if file.exists() else 0
 
 
-def run(place: Path, preload: Path, number: int, reason: int) -> tuple[int, str, str]:
+def run(place: Path, preload: Path, number: int, reason: int, **more: str) -> tuple[int, str, str]:
     """The exit status of a daemon that has recorded some scans, its log, and which call failed."""
     place.mkdir()
     skin, robot = f"ipc://{place}/skin", f"ipc://{place}/robot"
@@ -56,13 +56,12 @@ def run(place: Path, preload: Path, number: int, reason: int) -> tuple[int, str,
     }
     command = [sys.executable, "-m", "taxeld.cli", "run", "--record", place / "session", config]
     with ArraySkin(skin, robot, idle=8) as sender, log.open("w") as stderr:
-        process = subprocess.Popen(command, stderr=stderr, env={**os.environ, **failing})
+        process = subprocess.Popen(command, stderr=stderr, env={**os.environ, **failing, **more})
         try:
             until(lambda: process.poll() is not None or "ready: " in log.read_text())
             last = sender.sent + SENT
-            until(
-                lambda: process.poll() is not None or recorded(place) >= SCANS or sender.sent > last
-            )
+            is_through = lambda: recorded(place) >= SCANS and (not more or told.exists())  # noqa: E731
+            until(lambda: process.poll() is not None or is_through() or sender.sent > last)
             process.send_signal(signal.SIGTERM)
             status = process.wait(60.0)
         finally:
@@ -88,3 +87,21 @@ def test_one_call_that_fails_costs_at_most_what_one_line_names(
             assert f"{place}/session: the recording has ended" in log, case
         assert status or "ready: " in log, case
     assert failed > TRIED // 2
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "reason"),
+    [
+        ("poll", 5, errno.ENOMEM),  # of the loop at work
+        ("memfd_create", 1, errno.EMFILE),  # of what was felt, for clients
+        ("sendmsg", 1, errno.ENOMEM),
+        ("close", 1, errno.EIO),
+    ],
+)
+def test_a_call_of_the_loop_that_fails_costs_nothing_but_a_moment(
+    tmp_path: Path, preload: Path, name: str, number: int, reason: int
+) -> None:
+    place, only = tmp_path / "run", {"FAILING_NAME": name, "FAILING_PARENT": str(os.getpid())}
+    status, log, call = run(place, preload, number, reason, **only)
+    assert call.endswith(f" {name}\n")
+    assert (status, recorded(place) >= SCANS, "Traceback" in log) == (0, True, False), log

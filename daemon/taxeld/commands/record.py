@@ -47,7 +47,7 @@ class Recording:
     @property
     def failed(self) -> bool:
         """Whether the disk took no more; the log has the reason."""
-        return self._recorder.counters.failed
+        return self._recorder.failed
 
     def run(self, ends: Callable[[], bool], on_poll: OnPoll = lambda *_: None) -> str:
         """Record until `ends`, or until the disk is full; → one line on the recording, and on the
@@ -71,8 +71,8 @@ class Recording:
 
     def _listed(self, source: Source) -> str:
         """Write the hubs' modules to a file for later listeners; → a line that names the file."""
-        decoder, written = source.decoder, self._recorder.counters
-        if not isinstance(decoder, Decoder) or not (written.frames or written.bytes):
+        decoder, written = source.decoder, self._recorder.written
+        if not isinstance(decoder, Decoder) or not (written["frames"] or written["bytes"]):
             return ""
         tables, path = modules.complete(decoder), self._directory / modules.FILE
         if not tables and decoder.refusal:
@@ -87,10 +87,10 @@ class Recording:
         return f"; its modules are listed in {path}, for source.modules"
 
     def _summary(self) -> str:
-        written = self._recorder.counters
-        if not (written.frames or written.bytes or written.poses or written.failed):
+        written, dropped = self._recorder.written, self._recorder.dropped
+        if not (written or self.failed):
             return f"{self._directory}: nothing came, so nothing is kept"
-        sent = f"{written.frames} frames" if written.frames else f"{written.bytes} bytes"
-        dropped = f", {written.dropped} records dropped" if written.dropped else ""
-        scans, poses = f"{self.scans} scans", f"{written.poses} sensor poses"
-        return f"{self._directory}: {sent}, {scans}, {poses}{dropped}"
+        kind = "frames" if written["frames"] else "bytes"
+        lost = f", {dropped} records dropped" if dropped else ""
+        scans, poses = f"{self.scans} scans", f"{written['poses']} sensor poses"
+        return f"{self._directory}: {written[kind]} {kind}, {scans}, {poses}{lost}"

@@ -22,6 +22,7 @@ REMEMBERED = 16  # scans of touches at most
 SILENT_MAX = 32  # silent scans at most
 ANSWERS = 0.95  # share of presses that a taxel answers, until it is known better
 VERSION = 4  # of `scan_arrays` and `SkinState`
+OF_SCAN = "number", "size", "link", "sensor", "place_sd_m", "outliers"
 OF_NOISE = "sigma", "gain_cv", "sag_m", "sag_sd", "answers"
 OF_TAXELS = "z", "live", "floor", "residue", *OF_NOISE
 
@@ -148,21 +149,20 @@ def scan_arrays(scans: Sequence[ScanEvidence]) -> Arrays:
     """Scans as arrays (K, …) of single precision, filled up to the most taxels of a link; the noise
     is nan where it is not known."""
     most = max((len(scan.observation.z) for scan in scans), default=0)
+    rows = [_row(scan, most) for scan in scans]
     # an array each: a large one would hold the loop up while numpy copies it
-    found: Arrays = {name: np.zeros((len(scans), most), np.float32) for name in OF_TAXELS}
-    found |= {name: np.zeros(len(scans), np.int64) for name in ("number", "size", "link")}
-    found |= {"sensor": np.zeros((len(scans), 3))}
-    found |= {name: np.zeros(len(scans)) for name in ("place_sd_m", "outliers")}
-    for k, scan in enumerate(scans):
-        seen, size = scan.observation, len(scan.observation.z)
-        noise = seen.noise or Noise(math.nan, outliers=math.nan)
-        own = {"number": scan.number, "size": size, "link": seen.link, "sensor": seen.sensor}
-        own |= {"place_sd_m": seen.place_sd_m, "outliers": noise.outliers}
-        for name, value in own.items():
-            found[name][k] = value
-        for name in OF_TAXELS:
-            found[name][k, :size] = getattr(noise if name in OF_NOISE else seen, name)
-    return found
+    return {name: np.array([row[name] for row in rows]) for name in (*OF_SCAN, *OF_TAXELS)}
+
+
+def _row(scan: ScanEvidence, most: int) -> Arrays:
+    seen, size = scan.observation, len(scan.observation.z)
+    noise = seen.noise or Noise(math.nan, outliers=math.nan)
+    own = scan.number, size, seen.link, seen.sensor, seen.place_sd_m, noise.outliers
+    row = {name: np.asarray(value) for name, value in zip(OF_SCAN, own, strict=True)}
+    for name in OF_TAXELS:
+        row[name] = np.zeros(most, np.float32)
+        row[name][:size] = getattr(noise if name in OF_NOISE else seen, name)
+    return row
 
 
 def scans_of(arrays: Arrays) -> list[Used]:

@@ -1,20 +1,24 @@
 """What is kept over restarts: what each skin has learned, and the scans of the belief. They are in
 one file of numpy's, without pickle.
 
-Digests say whose both are; the zip's checksums say whether the file is whole. What is old, damaged
-or of another configuration is not used. One thread, which starts before the loop takes its
-priority, writes the file, and packs the belief's scans for clients.
+Who writes the file holds a lock on its directory, and has learned what was in it. Digests say whose
+both are; the zip's checksums say whether the file is whole. What is old, damaged or of another
+configuration is not used, and what cannot be learned is set aside. A worker, which starts before
+the loop takes its priority, writes the file, and packs the belief's scans for clients.
 """
 
+import contextlib
+import errno
+import fcntl
 import io
 import logging
 import math
 import os
-import threading
 import time
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -35,67 +39,22 @@ from taxeld.pipeline.stage import later
 from taxeld.skin.calibration import SkinState
 from taxeld.skin.skin import Skin
 from taxeld.stream.link import Link
+from taxeld.worker import Job, Worker
 
-NAME = "kept.npz"
+NAME, ASIDE = "kept.npz", "failed.npz"
+MEMORY = "the scans for clients"
 EVERY_S, AT_LEAST_S = 60.0, 240.0  # between two writings out of contact; where nothing is new
+AGAIN_S = 1.0  # until a writing that failed is tried again
 BASELINE_S = 43_200.0  # an idle baseline that was stored longer ago is not used
 KEEP_S = 600.0  # what was felt is used by a start that comes so soon
-FUTURE_S = 3600.0  # a time farther ahead was stored by a wrong clock, or is read by one
-MEMORY_S, SILENT_S = 1.0, 5.0  # between two handings-over of what was felt; of silence alone
-CLOSE_S = 4.0  # time that the last two jobs of the thread may take
+MEMORY_S = 1.0  # between two handings-over of what was felt
+CLOSE_S = 4.0  # time that the last two jobs of the worker may take
+TAKEN = (
+    "another daemon keeps its state there; nothing is kept of this one: give each a skin.state_dir"
+)
 
 Arrays = dict[str, NDArray[Any]]
-Job = Callable[[], None]
 log = logging.getLogger(__name__)
-
-
-class Writer:
-    """A thread that does what the loop may not wait for, one job after another."""
-
-    def __init__(self, what: str) -> None:
-        """`what` the jobs write, for the log."""
-        self._what = what
-        self._next: Job | None = None  # until it is done
-        self._last: Job | None = None
-        self._failed = False
-        self._wake = threading.Event()
-        # a disk that hangs must not keep the daemon from ending
-        self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
-        self._thread.start()
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether the job is not done yet."""
-        return self._next is not None
-
-    def give(self, job: Job) -> None:
-        """Have a job done, by a thread that is not busy."""
-        self._next = job
-        self._wake.set()
-
-    def close(self, job: Job) -> None:
-        """Have a last job done, unless the disk does not take it in time."""
-        self._last = job
-        self._wake.set()
-        self._thread.join(CLOSE_S)
-
-    def _run(self) -> None:
-        while self._last is None:
-            self._wake.wait()
-            self._wake.clear()
-            if self._next is not None:
-                self._do(self._next)
-                self._next = None
-        self._do(self._last)
-
-    def _do(self, job: Job) -> None:
-        try:
-            job()
-        except Exception as error:  # a disk that takes nothing; a fault of ours ends nothing else
-            if not self._failed:
-                why = getattr(error, "strerror", None) or repr(error)
-                log.warning("%s: not written (%s)", self._what, why)
-            self._failed = True
 
 
 class Store:
@@ -103,121 +62,154 @@ class Store:
     in."""
 
     def __init__(self, config: Config, pipeline: Pipeline) -> None:
-        """The skins take what they learned before."""
-        place, self._pipeline = directory(config), pipeline
-        self._path = None if place is None else place / NAME
-        self._found: Arrays = {} if self._path is None else read(self._path)
+        """Nothing is read or written before `restore`."""
+        self.failed = 0  # times that the file, or the scans for clients, could not be written
+        self._place, self._pipeline = directory(config), pipeline
+        self._path: Path | None = None  # the file, while the directory is this run's
+        self._lock = -1  # the directory, open and locked
+        self._found: Arrays = {}  # what was stored of the skins
         self._estimator = pipeline.estimator if pipeline.has_object else None
-        self._keep_s = KEEP_S if config.filter.motion == "none" else 0.0
+        is_kept = pipeline.has_object and config.filter.motion == "none"
+        self._keep_s = KEEP_S if is_kept else 0.0
         self._written_s, self._captures = -math.inf, 0
         self._scans: Sequence[ScanEvidence] = ()  # that were written last
-        self._is_forgotten = False
+        self._asked = self._forgot = 0  # resets and tares: all, and those that the disk has
+        self._faults: dict[Path | str, str] = {}  # of what is written
         self._packed: BinaryIO | None = None  # scans for clients, until the door has them
         self._handed: tuple[object, ...] = ()  # what was packed last, and for which door
-        self._touches: Sequence[ScanEvidence] = ()  # the contacts in it
-        self._handed_s = self._next_memory_s = -math.inf
-        self._writer = Writer(str(self._path or NAME))
-        for k, stage in enumerate(pipeline.stages):
-            self._restore(_part(f"skin{k}.", self._found), stage.skin)
+        self._next_memory_s = -math.inf
+        self._worker = Worker("kept")
+
+    @property
+    def pending(self) -> int:
+        """Number of resets and tares that a restart would undo."""
+        return self._asked - self._forgot if self._path else 0
+
+    def restore(self) -> None:
+        """Have skins and belief learn what an earlier run has left; from now on the directory is
+        this run's, unless it is another's."""
+        if self._place is None:
+            return
+        try:
+            self._place.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(self._place, os.O_RDONLY)
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self.failed += 1
+            why = error.strerror or str(error)
+            _warn(self._place, TAKEN if error.errno == errno.EWOULDBLOCK else why)
+            return
+        self._path = path = self._place / NAME
+        try:
+            found = read(path)
+            for k, stage in enumerate(self._pipeline.stages):
+                if stored := _part(f"skin{k}.", found):
+                    self._restore(stored, stage.skin)
+            self._found = {name: found[name] for name in found if name.startswith("skin")}
+            if self._keep_s and not self._asked and (stored := _part("belief.", found)):
+                self._restore_belief(stored)
+        except Exception as error:  # each start would die of it
+            self._pipeline.reset()
+            with contextlib.suppress(OSError):
+                path.replace(path.with_name(ASIDE))
+            log.error("%s: set aside as %s: it cannot be learned (%r)", path, ASIDE, error)
 
     def _restore(self, stored: Arrays, skin: Skin) -> None:
         """The taxels' responses last longer than the baseline."""
-        if not stored:
-            return
         values = {name: value if value.ndim else value.item() for name, value in stored.items()}
         state = SkinState(**values)  # type: ignore[arg-type]
         if state.digest != skin.digest:
             _warn(self._path, "it is of another skin: the idle baseline is learned again")
             return
         age_s = time.time() - state.t
-        is_fresh = -FUTURE_S <= age_s <= BASELINE_S
+        is_fresh = abs(age_s) <= BASELINE_S  # a clock may be set back
         skin.restore(state, baseline=is_fresh)
         if not is_fresh:
             _warn(
                 self._path, f"it is {age_s / 3600.0:.1f} h old: the idle baseline is learned again"
             )
 
-    def restore_belief(self) -> None:
+    def _restore_belief(self, stored: Arrays) -> None:
         """Have the belief learn again from what an earlier run felt."""
-        stored = _part("belief.", self._found)
-        self._found = {name: self._found[name] for name in self._found if name.startswith("skin")}
-        if not stored or not self._keep_s:
-            return
-        age_s = time.time() - stored["t"].item()
-        if stored["digest"].item() != self._pipeline.estimator.digest:
+        estimator, age_s = self._pipeline.estimator, time.time() - stored["t"].item()
+        why = f"it is {age_s:.0f} s old" if abs(age_s) > self._keep_s else ""
+        if stored["digest"].item() != estimator.digest:
             why = "it is of another scene, skin or configuration"
-        elif not -FUTURE_S <= age_s <= self._keep_s:
-            why = f"it is {age_s:.0f} s old"
+        if why:
+            _warn(self._path, f"{why}: the object is to be found again")
         else:
-            self._pipeline.estimator.learn(scans_of(stored), moved=True)
-            return
-        _warn(self._path, f"{why}: the object is to be found again")
+            estimator.learn(scans_of(stored), moved=True)
 
     def keep(self, now_s: float, wall_s: float) -> None:
         """Have all written if it is time to, at a monotonic and a Unix time. Never blocks."""
-        if self._path is None or self._writer.is_busy:
+        if self._path is None or self._worker.behind:
             return
         scans = self._estimator.scans if self._estimator else ()
         captures = sum(stage.skin.captures for stage in self._pipeline.stages)
-        wait_s = EVERY_S if scans != self._scans else AT_LEAST_S
+        usual_s = EVERY_S if scans != self._scans else AT_LEAST_S
+        wait_s = AGAIN_S if self._faults.get(self._path) else usual_s
         is_due = captures != self._captures or now_s >= self._written_s + wait_s
-        is_due = is_due and bool(captures or scans) and not self._pipeline.is_touched
-        if is_due or self._is_forgotten:
+        is_calm = bool(captures or scans) and not self._pipeline.is_touched
+        if is_due and (is_calm or self.pending):
             self._written_s, self._scans, self._captures = now_s, scans, captures
-            self._is_forgotten = False
-            self._writer.give(self._writing(self._path, wall_s))
+            self._give_all(self._path, wall_s)
 
-    def forget_belief(self) -> None:
-        """All touches are forgotten, which the next `keep` writes, during a contact as well."""
-        self._is_forgotten = True
+    def forget(self, *, baselines: bool = False) -> None:
+        """All touches are forgotten, or else all `baselines`: the next `keep` writes that, during a
+        contact as well, and it is pending until the disk has it."""
+        for name in (name for name in self._found if baselines and name.endswith(".baseline")):
+            self._found[name] = np.full_like(self._found[name], np.nan)
+        self._asked, self._written_s = self._asked + 1, -math.inf
 
     def remember(self, link: Link, now_s: float) -> None:
-        """Hand the door the scans that the belief has learned from, for clients that learn them as
-        well: once there are others, or another door. Never blocks."""
-        if self._packed is not None:
-            with self._packed as packed:
+        """Hand the doors the scans that the belief has learned from, for clients that learn them as
+        well: once there are others, or another door, or one that has missed something. Never
+        blocks."""
+        if self._worker.behind:
+            return
+        packed, self._packed = self._packed, None
+        if packed is not None:
+            with contextlib.suppress(OSError), packed:
                 link.remember(packed.fileno())
-            self._packed = None
         if self._estimator is None or not link.is_ready or now_s < self._next_memory_s:
             return
-        scans = self._estimator.scans
-        key = link.ready, scans
-        if key == self._handed or self._pipeline.is_touched or self._writer.is_busy:
-            return
-        touches = [scan for scan in scans if scan.is_contact]
-        is_same = self._handed[:1] == key[:1] and touches == self._touches
-        self._next_memory_s = now_s + MEMORY_S
-        if is_same and now_s < self._handed_s + SILENT_S:
-            return
-        self._handed, self._touches, self._handed_s = key, touches, now_s
-        digest = np.array(self._estimator.digest)
-
-        def pack() -> None:
-            packed = os.fdopen(os.memfd_create("memory"), "w+b")
-            np.savez(packed, allow_pickle=False, **scan_arrays(scans), digest=digest)
-            packed.flush()
-            self._packed = packed
-
-        self._writer.give(pack)
+        felt = link.ready, link.counts["unsent"], self._estimator.scans
+        is_known = felt == self._handed and not self._faults.get(MEMORY)
+        if not (is_known or self._pipeline.is_touched):
+            self._handed, self._next_memory_s = felt, now_s + MEMORY_S
+            packs = partial(self._pack, self._estimator.scans, self._estimator.digest)
+            self._worker.give(partial(self._do, MEMORY, packs))
 
     def close(self) -> None:
         """Write the last of all, unless the disk does not take it in time."""
         if self._path is not None:
-            self._writer.close(self._writing(self._path, time.time()))
-        else:
-            self._writer.close(lambda: None)
+            self._give_all(self._path, time.time())
+        if self._worker.close(CLOSE_S) and self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
         if self._packed is not None:
             self._packed.close()
 
-    def _writing(self, path: Path, t: float) -> Job:
-        """The job of writing the content of Unix time t, of what does not change any more. A skin
-        that is not ready yet keeps what was stored of it. Nothing is written before there is
-        something to keep, or to forget."""
-        by, estimator = self._pipeline.stepped_s, self._estimator
+    def _do(self, what: Path | str, job: Job) -> None:
+        """Do what may fail. A fault is counted, and logged when it changes."""
+        fault = ""
+        try:
+            job()
+        except Exception as error:  # a disk that takes nothing; a fault of ours ends nothing else
+            self.failed += 1
+            fault = f"not written ({getattr(error, 'strerror', None) or repr(error)})"
+        if fault != self._faults.get(what, ""):
+            log.warning("%s: %s", what, fault or "written again")
+        self._faults[what] = fault
+
+    def _give_all(self, path: Path, t: float) -> None:
+        """Have all written as of Unix time t; what is taken along changes no more. A skin that is
+        not ready yet keeps what was stored of it. Nothing is written before there is something to
+        keep, or to forget."""
+        by, estimator, asked = self._pipeline.stepped_s, self._estimator, self._asked
         states = [stage.skin.state() for stage in self._pipeline.stages]
         scans = until_last_touch(estimator.scans) if estimator and self._keep_s else []
         digest = np.array(estimator.digest if scans and estimator else "")
-        was_written = self._written_s > -math.inf or self._is_forgotten
 
         def write() -> None:
             found: Arrays = {}
@@ -229,10 +221,26 @@ class Store:
             if scans:
                 belief = scan_arrays(scans) | {"t": np.array(t), "digest": digest}
                 found |= {f"belief.{name}": value for name, value in belief.items()}
-            if found or was_written:
+            if not found and asked == self._forgot:
+                return
+            try:
                 _replace(path, found | {"version": np.array(VERSION)})
+            except OSError:
+                if asked != self._forgot:  # it is not to come back, and this needs no room
+                    path.unlink(missing_ok=True)
+                    self._forgot = asked
+                raise
+            finally:
+                os.fsync(self._lock)
+            self._forgot = asked
 
-        return write
+        self._worker.give(partial(self._do, path, write))
+
+    def _pack(self, scans: Sequence[ScanEvidence], digest: str) -> None:
+        packed = os.fdopen(os.memfd_create("memory"), "w+b")
+        np.savez(packed, allow_pickle=False, **scan_arrays(scans), digest=np.array(digest))
+        packed.flush()
+        self._packed = packed
 
 
 def directory(config: Config) -> Path | None:
@@ -275,7 +283,6 @@ def _replace(path: Path, arrays: Arrays) -> None:
     """Write arrays in place of a file, or of a link, which is not followed. A power cut leaves the
     old file or the new one. Raises OSError."""
     beside = path.with_suffix(".new")
-    path.parent.mkdir(parents=True, exist_ok=True)
     beside.unlink(missing_ok=True)
     with beside.open("xb") as file:
         np.savez(file, allow_pickle=False, **arrays)

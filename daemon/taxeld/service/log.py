@@ -1,4 +1,4 @@
-"""The log: lines on standard error, written by a thread of their own.
+"""The log: lines on standard error, written by a worker of their own.
 
 A reader of standard error that hangs costs lines, but neither a pass of the loop nor the end of the
 process. The journal is told how grave each line is; other readers get the time of each.
@@ -12,11 +12,12 @@ import logging
 import os
 import select
 import signal
-import threading
 import traceback
 from collections.abc import Iterator, Mapping
-from queue import SimpleQueue
+from functools import partial
 from types import FrameType
+
+from taxeld.worker import Worker
 
 STDERR = 2  # by its number: the object holds a lock while it writes, also at the process' end
 MOST = 1000  # lines that wait to be written; more are dropped
@@ -36,15 +37,15 @@ class _Marked(logging.Formatter):
 
 
 class _Hand(logging.Handler):
-    """Hands lines to the thread, if it is not far behind."""
+    """Hands lines to the worker, if it is not far behind."""
 
-    def __init__(self, lines: SimpleQueue[str]) -> None:
+    def __init__(self, worker: Worker) -> None:
         super().__init__()
-        self._lines = lines
+        self._worker = worker
 
     def emit(self, record: logging.LogRecord) -> None:
-        if self._lines.qsize() < MOST:
-            self._lines.put(self.format(record))
+        if self._worker.behind < MOST:
+            self._worker.give(partial(_write, self.format(record)))
 
 
 @contextlib.contextmanager
@@ -53,19 +54,16 @@ def written() -> Iterator[None]:
     for number in (signal.SIGXCPU, signal.SIGABRT):
         signal.signal(number, _end)
     level = _ROOT.level
-    lines: SimpleQueue[str] = SimpleQueue()
-    hand = _Hand(lines)
+    worker = Worker("log")
+    hand = _Hand(worker)
     hand.setFormatter(formatter(STDERR, os.environ))
-    thread = threading.Thread(target=_write, args=(lines,), name="log", daemon=True)
-    thread.start()
     logging.getLogger().addHandler(hand)  # for all loggers: libraries would else write in the loop
     try:
         yield
     finally:
         logging.getLogger().removeHandler(hand)
         _ROOT.setLevel(level)
-        lines.put("")
-        thread.join(CLOSE_S)
+        worker.close(CLOSE_S)
 
 
 def formatter(descriptor: int, environ: Mapping[str, str]) -> logging.Formatter:
@@ -82,13 +80,11 @@ def set_level(name: str) -> None:
     _ROOT.setLevel(name.upper())
 
 
-def _write(lines: SimpleQueue[str]) -> None:
-    """Until a line is empty, as none that is logged is."""
-    while line := lines.get():
-        rest = f"{line}\n".encode("utf-8", "replace")
-        with contextlib.suppress(OSError):  # the reader has gone, or the disk is full
-            while rest:
-                rest = rest[os.write(STDERR, rest) :]
+def _write(line: str) -> None:
+    rest = f"{line}\n".encode("utf-8", "replace")
+    with contextlib.suppress(OSError):  # the reader has gone, or the disk is full
+        while rest:
+            rest = rest[os.write(STDERR, rest) :]
 
 
 def _end(number: int, frame: FrameType | None) -> None:

@@ -25,7 +25,7 @@ from taxeld.service.kept import Store
 from taxeld.service.notify import Notifier
 from taxeld.service.prepare import digest, prepared
 from taxeld.service.publisher import LoopCounters, Publisher
-from taxeld.source.recorder import RecordCounters, Recorder
+from taxeld.source.recorder import Recorder
 from taxeld.source.sources import polled
 from taxeld.stream import messages
 from taxeld.stream.link import Link
@@ -66,7 +66,7 @@ class Daemon:
             self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
             self._next_look_s, self._source_ns = 0.0, 0  # CPU time of taking the last scans
             self.kept = Store(self.config, self.pipeline)
-            changes = {"tare": self.pipeline.tare, "reset": self._reset, "prior": self._prior}
+            changes = {"tare": self._tare, "reset": self._reset, "prior": self._prior}
             info = self._info()
             self.link = Link(info, self.on_pose, changes, Link(info, self.on_pose, changes))
             opened.callback(self.kept.close)
@@ -91,7 +91,7 @@ class Daemon:
             realtime.trim()
             if pipeline.has_object:
                 pipeline.warm_up()
-                self.kept.restore_belief()
+            self.kept.restore()
             pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
             with realtime.thread(self.config.loop.priority) as self.realtime:
                 notifier.ready()
@@ -128,7 +128,9 @@ class Daemon:
         until_s = ticker.until(busy=is_busy)
         hears = pipeline.has_waiting or self.inputs.array is not None
         door, devices = self.link.end if hears else None, [source.device for source in sources]
-        return wait(devices, door, until_s)
+        ready = wait(devices, door, until_s)
+        self.counters.unpolled += ready is ALL
+        return ready
 
     def take(self, ready: Ready = ALL) -> list[Scan]:
         """Take what has arrived from the door, and from the devices; → scans.
@@ -220,9 +222,7 @@ class Daemon:
         """`/taxeld/health` from all parts of the daemon; `now_s` is monotonic, t Unix time. The
         table in `stream/values.md` chooses what is published of all that is counted."""
         pipeline, inputs, link = self.pipeline, self.inputs, self.link
-        source, report, written = inputs.sources[0], link.report, RecordCounters()
-        if self.recorder:
-            written = self.recorder.counters
+        source, report = inputs.sources[0], link.report
         calibration, counted = pipeline.stages[0].calibration, pipeline.health()
         counted["inputs"] |= {
             "poses_malformed": report.robot.malformed,
@@ -246,7 +246,11 @@ class Daemon:
                 "starts": sum(door.starts for door in self.doors),
                 **link.counts,
             },
-            "recording": {"dropped": written.dropped, "failed": written.failed},
+            "recording": {
+                "dropped": self.recorder.dropped if self.recorder else 0,
+                "failed": self.recorder is not None and self.recorder.failed,
+            },
+            "kept": {"failed": self.kept.failed, "pending": self.kept.pending},
             **counted,
         }
         if len(self.layouts) > 1:
@@ -259,12 +263,14 @@ class Daemon:
             }
         return messages.health(self.publisher.seq, t, parts)
 
+    def _tare(self) -> None:
+        self.pipeline.tare()
+        self.kept.forget(baselines=True)
+
     def _reset(self) -> str:
         """Forget all touches; → why that was not done."""
-        try:
-            return self.pipeline.reset()
-        finally:  # what cannot be forgotten here is not to come back with the next start
-            self.kept.forget_belief()
+        self.kept.forget()
+        return self.pipeline.reset()
 
     def _prior(self, **given: Any) -> str:
         """Take a prior; → why it is not taken."""

@@ -31,6 +31,7 @@ class LoopCounters:
 
     overruns: int = 0  # periods that passed while the loop worked, or while the machine held it up
     own_overruns: int = 0  # passes whose own CPU time was longer than a period
+    unpolled: int = 0  # waits in which the kernel could not say what had arrived
 
 
 class Publisher:

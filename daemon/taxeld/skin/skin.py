@@ -235,8 +235,9 @@ class Skin:
         part.begin(self._t)
 
     def state(self) -> SkinState | None:
-        """The learned state, to be kept; None before anything was learned."""
-        if not self.is_ready:
+        """The learned state, to be kept; None before anything was learned. After a tare it has no
+        baseline."""
+        if not self.captures:
             return None
         temperature = self._drift.temperature
         return SkinState(
@@ -261,7 +262,7 @@ class Skin:
         if self.config.learn and of == (self._full_scale, self._calibrated_t):
             self.fit.restore(state.response)
             self._use_fit()
-        if baseline:
+        if baseline and not np.isnan(state.baseline).all():
             self._state = state
             self._pending = ~np.isnan(state.baseline)
             self._drift.temperature.coefficient = state.coefficient.copy()

@@ -1,21 +1,21 @@
-"""Writes a session as it comes: records are taken without waiting, and written by a thread.
+"""Writes a session as it comes: records are taken without waiting, and written by a worker.
 
 The files are made when the first record comes, each of them anew: a file or a link of that name is
 never written to. Files are only appended to, whole records at a time; the bytes of a serial line
 come before the rows that date them. However a recording ends, `session.records` finds all but its
 last moment. A disk that is slow or full is waited for, and costs records, which are counted;
-another fault of it ends the recording, never the caller.
+another fault of it, or files that are removed, end the recording, never the caller.
 """
 
 import contextlib
 import errno
 import logging
+import math
 import os
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import partial
 from io import FileIO
 from pathlib import Path
@@ -36,6 +36,7 @@ from taxeld.source.session import (
     VERSION,
     Item,
 )
+from taxeld.worker import Worker
 from taxeld_protocol.array import ArrayFrame, line_of
 from taxeld_protocol.frames import Chunk, Frame, format_log_line
 
@@ -52,32 +53,22 @@ COUNTED = ("frames", "chunks", "bytes", "poses")
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class RecordCounters:
-    """Counts of written and lost records, since start."""
-
-    frames: int = 0  # of a bus, or of an array
-    bytes: int = 0  # bytes of a serial line
-    poses: int = 0
-    dropped: int = 0  # records of any kind that the disk did not take, or not in time
-    failed: bool = False  # the disk took no more, and the recording has ended
-
-
-def headers(links: int) -> dict[str, str]:
-    """The first line of each file that has one."""
+def headers(links: int) -> dict[str, bytearray]:
+    """How each file begins."""
     more = [LINK] if links > 1 else []
-    return {
+    first = {
         ABOUT: f"version = {VERSION}\n",
         POSES: ",".join(POSE_COLUMNS + more) + "\n",
         SERIAL_TIMES: ",".join(SERIAL_COLUMNS + more) + "\n",
     }
+    return {name: bytearray(first.get(name, "").encode()) for name in (ABOUT, *PARTS)}
 
 
 def formatted(
     records: Iterable[tuple[Item, int]], written: Counter[str], links: int
 ) -> dict[str, bytearray]:
     """What the files get of records, each with the number of its link; `written` counts them."""
-    parts = {name: bytearray() for name in PARTS}
+    parts = defaultdict[str, bytearray](bytearray)
     for item, link in records:
         column = f",{link}\n" if links > 1 else "\n"
         if isinstance(item, Frame):
@@ -116,31 +107,33 @@ class Recorder:
         Raises:
             SetupError: the directory cannot be written to, or has a file of a session already.
         """
-        self._directory, self._moves, self._links = directory, moves, links
-        self._headers = headers(links)
-        self._kept = _kept(config, calibration)
-        _check_free(directory, [ABOUT, *PARTS, *self._kept])
+        self._directory, self._links = directory, links
+        kept = _kept(config, calibration)
+        # what each file is to get, in this order, once it has begun
+        self._rest = headers(links) | {name: bytearray(data) for name, data in kept.items()}
+        _check_free(directory, self._rest)
+        self._first = {ABOUT, *kept, *([POSES] if moves else [])}  # begin with the first record
+        self._begun = set[str]()
+        self._open: dict[str, FileIO] = {}
         self._waiting: deque[tuple[Item, int]] = deque()
         self._came = self._refused = 0  # records taken so far, and records refused
         self._came_bytes = self._taken_bytes = 0  # bytes put by the caller, and taken
-        self._written = Counter[str]()
-        self._failed = self._is_full = False
-        self._open: dict[str, FileIO] = {}  # made anew as they are first appended to
+        self.failed, self._fault = False, ""  # whether it has ended; for what it waits
+        self.written = Counter[str]()  # frames, chunks and bytes of a serial line, poses
+        self._formatted = Counter[str]()  # the same, but for what the disk has not taken yet
+        self._next_sync_s = -math.inf
         self._closing = threading.Event()
-        # a hanging disk must not keep the process from ending
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
 
     @property
-    def counters(self) -> RecordCounters:
-        """The counts as far as written."""
-        frames, chunks, size, poses = (self._written[name] for name in COUNTED)
-        unwritten = self._came - frames - chunks - poses if self._failed else 0
-        return RecordCounters(frames, size, poses, self._refused + unwritten, self._failed)
+    def dropped(self) -> int:
+        """Records of any kind that the disk did not take, or not in time."""
+        frames, chunks, _, poses = (self.written[name] for name in COUNTED)
+        return self._refused + (self._came - frames - chunks - poses) * self.failed
 
     def take(self, item: Item, link: int = 0) -> None:
         """Record a CAN frame of either direction, bytes of a serial line or an array's frame, with
         the first link of its source; or the pose in the world of a link's sensor."""
-        if self._failed or self._came_bytes - self._taken_bytes > WAITING_BYTES:
+        if self.failed or self._came_bytes - self._taken_bytes > WAITING_BYTES:
             self._refused += 1
             return
         self._came += 1
@@ -156,106 +149,76 @@ class Recorder:
         self.take((t, x, y, theta), link)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._worker = Worker("recorder")
+        self._worker.give(self._run)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._closing.set()
-        self._thread.join(CLOSE_S)
-        if self._thread.is_alive():
+        if not self._worker.close(CLOSE_S):
             self._fail(f"the disk did not take the last of it within {CLOSE_S:g} s")
 
     def _fail(self, reason: str) -> None:
-        self._failed = True
-        log.warning(
-            "%s: the recording has ended (%s); it replays up to here", self._directory, reason
-        )
+        self.failed = True
+        log.warning("%s: the recording has ended (%s)", self._directory, reason)
 
     def _run(self) -> None:
         try:
-            self._write_all()
-        except OSError as error:
-            self._fail(error.strerror or str(error))
+            while not self._turn():
+                pass
+        except Exception as error:  # a fault of ours is to be seen as well
+            self._fail(getattr(error, "strerror", None) or repr(error))
             self._waiting.clear()
         for file in self._open.values():
             with contextlib.suppress(OSError):
                 file.close()
 
-    def _write_all(self) -> None:
-        """Write records until the caller leaves. Raises OSError."""
-        next_sync_s = time.monotonic()
-        closing = False
-        while not closing:
-            closing = self._closing.wait(PAUSE_S)
-            if self._waiting and not self._open:
-                begin = {ABOUT: b"", **self._kept, **({POSES: b""} if self._moves else {})}
-                for name, content in begin.items():
-                    self._append(name, content)
-            for _ in range(0, len(self._waiting), BATCH):
-                batch = [self._waiting.popleft() for _ in range(min(BATCH, len(self._waiting)))]
-                self._write(batch)
-                self._taken_bytes += sum(_size(item) for item, _ in batch)
-            if closing or time.monotonic() >= next_sync_s:
-                self._sync()
-                next_sync_s = time.monotonic() + SYNC_S
-        if self._open:
-            totals = {"dropped": self._refused, **{name: self._written[name] for name in COUNTED}}
-            text = "".join(f"{name} = {count}\n" for name, count in totals.items())
-            self._append(ABOUT, text.encode())
-            self._sync()
+    def _turn(self) -> bool:
+        """Wait a moment, and write what has come; → whether that was the last. Raises OSError."""
+        closing, fault = self._closing.wait(PAUSE_S), ""
+        try:
+            self._write()
+            if closing and self._open:
+                totals = {"dropped": self._refused, **{k: self.written[k] for k in COUNTED}}
+                self._rest[ABOUT] += "".join(f"{k} = {n}\n" for k, n in totals.items()).encode()
+                self._write()
+            if closing or time.monotonic() >= self._next_sync_s:
+                for file in self._open.values():
+                    os.fsync(file.fileno())
+                self._next_sync_s = time.monotonic() + SYNC_S
+        except OSError as error:
+            if closing or error.errno not in PASSING:
+                raise
+            fault = f"waits ({error.strerror})"
+        if fault != self._fault:
+            log.warning("%s: the recording %s", self._directory, fault or "goes on")
+        self._fault = fault
+        return closing
 
-    def _write(self, batch: list[tuple[Item, int]]) -> None:
-        written = self._written.copy()
-        parts = formatted(batch, written, self._links)
-        if parts[SERIAL]:
-            self._append(SERIAL_TIMES, b"")  # each line needs a file that dates it
-        for name, data in parts.items():
-            if data:
-                self._append(name, data)
-        self._written = written
+    def _write(self) -> None:
+        """Write what has come. Raises OSError; then the next call goes on with the rest."""
+        if not all(os.fstat(file.fileno()).st_nlink for file in self._open.values()):
+            raise OSError(errno.ENOENT, "its files are gone")
+        self._flush()
+        while self._waiting:
+            batch = [self._waiting.popleft() for _ in range(min(BATCH, len(self._waiting)))]
+            self._taken_bytes += sum(_size(item) for item, _ in batch)
+            parts = formatted(batch, self._formatted, self._links)
+            self._begun |= self._first.union(parts)
+            for name, data in parts.items():
+                self._rest[name] += data
+            self._flush()
 
-    def _append(self, name: str, data: bytes | bytearray) -> None:
-        """Append all of the data, after the header in a new file. Raises OSError."""
-        if name not in self._open:
-            self._open[name] = self._made(name)
-            data = self._headers.get(name, "").encode() + data
-        rest = memoryview(data)
-        while rest:  # a nearly full disk takes a part, and then refuses the rest
-            try:
-                rest = rest[self._open[name].write(rest) :]
-            except OSError as error:
-                self._wait(error)
-        if self._is_full:
-            log.warning("%s: the recording goes on", self._directory)
-        self._is_full = False
-
-    def _made(self, name: str) -> FileIO:
-        """A new file, once the disk has room for it. Raises OSError."""
-        while True:
-            try:
-                self._directory.mkdir(parents=True, exist_ok=True)
-                return FileIO(self._directory / name, "x")  # O_EXCL, which follows no link
-            except OSError as error:
-                self._wait(error)
-
-    def _wait(self, error: OSError) -> None:
-        """Wait a moment for a disk whose fault may pass. Raises the error where it may not, or when
-        the recording is to end."""
-        if error.errno not in PASSING:
-            raise error
-        if not self._is_full:
-            log.warning("%s: the recording waits (%s)", self._directory, error.strerror)
-        self._is_full = True
-        if self._closing.wait(PAUSE_S):
-            raise error
-
-    def _sync(self) -> None:
-        """Flush the files to the disk. Raises OSError."""
-        for file in self._open.values():
-            try:
-                os.fsync(file.fileno())
-            except OSError as error:
-                self._wait(error)
+    def _flush(self) -> None:
+        """Write the rest of what was formatted. Raises OSError."""
+        for name in self._begun - self._open.keys():
+            self._directory.mkdir(parents=True, exist_ok=True)
+            # O_EXCL, which follows no link
+            self._open[name] = FileIO(self._directory / name, "x")
+        for name in (name for name in self._rest if name in self._open):
+            while self._rest[name]:  # a nearly full disk takes a part, and refuses the rest
+                del self._rest[name][: self._open[name].write(self._rest[name])]
+        self.written = self._formatted.copy()
 
 
 def _size(item: Item) -> int:
@@ -278,7 +241,7 @@ def _kept(config: Path | None, calibration: Path | None) -> dict[str, bytes]:
     return kept
 
 
-def _check_free(directory: Path, names: list[str]) -> None:
+def _check_free(directory: Path, names: Iterable[str]) -> None:
     """Check that these files can be made in the directory. Raises SetupError."""
     try:
         there = next(path for path in (directory, *directory.parents) if path.exists())
