@@ -24,7 +24,7 @@ def pair(directory: Path, name: str) -> tuple[bytes, bytes]:
     directory.mkdir(exist_ok=True)
     create_certificates(directory, name)
     secret = directory / f"{name}.key_secret"
-    secret.chmod(0o600)
+    secret.chmod(0o640)
     public, private = load_certificate(secret)
     assert private is not None
     return public, private
@@ -146,10 +146,11 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
 
 
 @pytest.mark.parametrize(
-    ("path", "text", "fault"),
+    ("path", "made", "fault"),
     [
         ("server.key_secret", None, "server.key_secret cannot be read"),
         ("server.key_secret", "x", "is no certificate"),
+        ("server.key_secret", 0o644, "is open to others; chmod 640"),
         ("robot.key", None, "robot.key cannot be read"),
         ("robot.key", "public-key", "robot.key is no certificate"),
         ("robot.key", f'public-key = "{"#" * 40}"', "robot.key is no certificate"),
@@ -158,22 +159,16 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
     ],
 )
 def test_keys_that_cannot_be_used_are_one_line(
-    keys: Path, path: str, text: str | None, fault: str
+    keys: Path, path: str, made: str | int | None, fault: str
 ) -> None:
-    (keys / path).unlink() if text is None else (keys / path).write_text(text, encoding="ascii")
+    """By its text, by its mode, or as it is missing."""
+    if isinstance(made, int):
+        (keys / path).chmod(made)
+    else:
+        (keys / path).unlink() if made is None else (keys / path).write_text(made, encoding="ascii")
     with pytest.raises(SetupError, match=rf"^curve\.directory: .*{re.escape(fault)}") as error:
         curve.read_keys(str(keys), ROBOT, [CLIENTS])
     assert "\n" not in str(error.value)
-
-
-def test_a_secret_may_be_read_by_the_group_and_by_nobody_else(keys: Path) -> None:
-    (keys / "server.key_secret").chmod(0o640)
-    loaded = curve.read_keys(str(keys), "", [CLIENTS])
-    assert loaded is not None
-    assert (len(loaded.clients), loaded.robot) == (1, b"")
-    (keys / "server.key_secret").chmod(0o644)
-    with pytest.raises(SetupError, match="is open to others; chmod 640"):
-        curve.read_keys(str(keys), "", [])
 
 
 def test_the_documented_commands_make_a_pair_that_is_taken(tmp_path: Path) -> None:

@@ -94,15 +94,6 @@ class Unit:
     def pid(self) -> int:
         return int(self.show("MainPID"))
 
-    @property
-    def door(self) -> int:
-        """Process id of its door; 0 where there is none now."""
-        return int(sh(f"pgrep -P {self.pid} -f taxeld.door || echo 0"))
-
-    def wait_door(self, before: int) -> None:
-        """Until another door than the one `before` is there."""
-        until("another door", lambda: self.door not in (0, before))
-
     def start(self) -> None:
         sh(f"systemctl start {self.name}")  # returns when it has said READY=1
 
