@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -36,20 +37,25 @@ def times_run(place: Path) -> list[int]:
     return [len(path.read_text(encoding="ascii")) for path in sorted(place.glob("ran-*"))]
 
 
-def test_a_finished_job_is_not_run_again_unless_its_result_is_torn(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_has_finished_is_remembered_unless_it_is_torn_and_all_else_is_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A worker has one thread, though this process may have more."""
+    """Even before a failure. A worker has one thread, though this process may have more."""
     for name in jobs.ONE_THREAD:
         monkeypatch.delenv(name, raising=False)
     memory, mine = tmp_path / "memory", three(tmp_path)
-    first = jobs.run(mine, memory)
-    assert first == {f"job-{i}": {"square": i * i, "threads": 1} for i in range(3)}
-    assert jobs.run(three(tmp_path), memory) == first
-    assert times_run(tmp_path) == [1, 1, 1]
-    (memory / f"{mine[2].key}.json").write_text('{"squ', encoding="ascii")
-    assert jobs.run(three(tmp_path), memory) == first
-    assert times_run(tmp_path) == [1, 1, 2]
+    jobs.run(mine[:2], memory, workers=2)
+    with pytest.raises(ValueError, match="9"):
+        jobs.run([*mine, Job("bad", refuse, ("", 9))], memory, workers=1)
+    (memory / f"{mine[1].key}.json").write_text('{"squ', encoding="ascii")
+    capsys.readouterr()
+    found = jobs.run(three(tmp_path), memory, describe=lambda result: f"square {result['square']}")
+    assert [found[f"job-{i}"]["square"] for i in range(3)] == [0, 1, 4]
+    assert found["job-0"]["threads"] == 1
+    remembered, told = capsys.readouterr().err.splitlines()
+    assert remembered == f"2 of 3 runs are remembered in {memory}"
+    assert re.fullmatch(r"1 of 1, .* s, 0 s left: job-1: square 1", told)
+    assert times_run(tmp_path) == [1, 2, 1]
 
 
 def test_work_arguments_and_code_make_a_job_and_arguments_beside_do_not(tmp_path: Path) -> None:
@@ -62,28 +68,6 @@ def test_work_arguments_and_code_make_a_job_and_arguments_beside_do_not(tmp_path
     assert jobs.run([beside], tmp_path / "memory")["job"]["square"] == 0
     long = Job(f"{'/a' * 200}, seed 0", json.loads, ("[1]",))  # its name fits a file's
     assert jobs.run([long], tmp_path) == {long.name: [1]}
-
-
-def test_results_before_a_failure_are_kept(tmp_path: Path) -> None:
-    memory = tmp_path / "memory"
-    with pytest.raises(ValueError, match="9"):
-        jobs.run([*three(tmp_path), Job("bad", refuse, ("", 9))], memory, workers=1)
-    assert jobs.run(three(tmp_path), memory)["job-1"]["square"] == 1
-    assert times_run(tmp_path) == [1, 1, 1]
-
-
-def test_each_job_is_told_of_with_its_result_and_what_is_remembered_is_counted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    memory = tmp_path / "memory"
-    jobs.run(three(tmp_path)[:1], memory, describe=lambda result: f"square {result['square']}")
-    first, *_ = capsys.readouterr().err.splitlines()
-    assert first.startswith("1 of 1, ")
-    assert first.endswith(" s, 0 s left: job-0: square 0")
-    jobs.run(three(tmp_path), memory, workers=1)
-    remembered, *rest = capsys.readouterr().err.splitlines()
-    assert remembered == f"1 of 3 runs are remembered in {memory}"
-    assert [line.split(": ")[1] for line in rest] == ["job-1", "job-2"]
 
 
 def test_a_worker_that_dies_and_a_memory_that_cannot_be_written_are_refused_in_one_line(
