@@ -7,6 +7,7 @@ import time
 import tracemalloc
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -59,14 +60,11 @@ def config(tmp_path: Path) -> Path:
 
 
 def test_a_start_allocates_nothing_of_the_size_of_all_pairs(config: Path) -> None:
-    settings = load(config)
     tracemalloc.start()
-    (skin,) = prepared(settings, 0.0).layouts
-    Patches(skin, 0.005)
-    peak = tracemalloc.get_traced_memory()[1]
+    (skin,) = prepared(load(config), 0.0).layouts
+    assert len(Patches(skin, 0.005).layout) == MAX_TAXELS
+    assert tracemalloc.get_traced_memory()[1] < 0.75 * PAIRS_BYTES
     tracemalloc.stop()
-    assert len(skin) == MAX_TAXELS
-    assert peak < 0.75 * PAIRS_BYTES
 
 
 def test_a_daemon_starts_and_feels_contacts_in_300_mb(config: Path, sockets: Sockets) -> None:
@@ -74,22 +72,18 @@ def test_a_daemon_starts_and_feels_contacts_in_300_mb(config: Path, sockets: Soc
     sender = sockets.keep(bound(sockets.context, f"ipc://{place}/skin"))
     heard = sockets.subscriber(f"ipc://{place}/stream", b"/taxeld/estimate")
 
-    def has_felt() -> bool:
+    def has_felt() -> Any:
         """A column of taxels is pressed, then none, then the next one."""
         part, z = next(sent) // 10, np.zeros(MAX_TAXELS)
         z[part % COLUMNS :: COLUMNS] = 0.6 * (part % 2)
         scan = {"id": 0, "t": time.time(), "z": z.tolist()}
         sender.send_multipart([b"/skin", msgpack.packb(scan)])
-        if not heard.poll(50):
-            return False
-        contacts: int = msgpack.unpackb(heard.recv_multipart()[1])["contacts"]
-        return contacts > 2
+        return heard.poll(50) and msgpack.unpackb(heard.recv_multipart()[1])["contacts"] > 2
 
     with taxeld("run", config) as daemon:
         try:
             until(has_felt)
             told = Path(f"/proc/{daemon.pid}/status").read_text(encoding="ascii")
+            assert 1024 * int(re.findall(r"VmHWM:\s+(\d+) kB", told)[0]) < MOST_BYTES
         finally:
             daemon.terminate()
-    (peak_kb,) = re.findall(r"^VmHWM:\s+(\d+) kB$", told, re.MULTILINE)
-    assert 1024 * int(peak_kb) < MOST_BYTES

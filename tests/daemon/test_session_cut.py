@@ -2,6 +2,7 @@
 read by what its format says."""
 
 import os
+import re
 import shutil
 import tracemalloc
 from collections.abc import Callable, Iterator
@@ -108,15 +109,13 @@ def test_a_recording_that_is_cut_anywhere_has_all_that_stands_before_the_cut(
 
 
 def test_a_session_of_any_length_takes_the_same_memory(tmp_path: Path) -> None:
-    lines = (tmp_path / session.FRAMES, tmp_path / session.POSES)
-    lines[0].write_text("(1000.000000) can0 101#431A000027102711\n" * 20_000, encoding="ascii")
-    lines[1].write_text("t,x,y,theta\n" + "1000.0,0.1,0.2,0.3\n" * 20_000, encoding="ascii")
+    frames = b"(1000.000000) can0 101#431A000027102711\n" * 20_000
+    poses = b"t,x,y,theta\n" + b"1000.0,0.1,0.2,0.3\n" * 20_000
+    content((session.FRAMES, frames), (session.POSES, poses))(tmp_path)
     tracemalloc.start()
-    try:
-        assert sum(1 for _ in session.records(tmp_path)) == 40_000
-        assert tracemalloc.get_traced_memory()[1] < 1 << 20
-    finally:
-        tracemalloc.stop()
+    assert sum(1 for _ in session.records(tmp_path)) == 40_000
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
 
 
 def test_what_came_of_several_links_stands_in_one_session_and_comes_back_in_order(
@@ -157,14 +156,13 @@ def test_zeros_that_a_power_cut_left_at_the_end_are_no_record(
     assert read(tmp_path) == whole
 
 
+def changed(name: str, of: Callable[[bytes], bytes]) -> Change:
+    return lambda place: (place / name).write_bytes(of((place / name).read_bytes()))
+
+
 def row(name: str, line: bytes) -> Change:
     """A line among those of a file."""
-
-    def change(place: Path) -> None:
-        lines = (place / name).read_bytes().splitlines(keepends=True)
-        (place / name).write_bytes(b"".join([*lines[:7], line, *lines[7:]]))
-
-    return change
+    return changed(name, lambda data: re.sub(rb"\A(?:.*\n){7}", lambda m: m[0] + line, data))
 
 
 def content(*files: tuple[str, bytes]) -> Change:
@@ -173,21 +171,12 @@ def content(*files: tuple[str, bytes]) -> Change:
 
 def endless(name: str) -> Change:
     """A line that ends nowhere, in a file with a hole: more than there is memory."""
-
-    def change(place: Path) -> None:
-        with (place / name).open("ab") as file:
-            file.write(b"0" * 5000)
-            file.truncate(1 << 36)
-
-    return change
+    ends = changed(name, lambda data: data + b"0" * 5000)
+    return lambda place: (ends(place), os.truncate(place / name, 1 << 36))
 
 
 def pipe(name: str) -> Change:
-    def change(place: Path) -> None:
-        (place / name).unlink()
-        os.mkfifo(place / name)
-
-    return change
+    return lambda place: ((place / name).unlink(), os.mkfifo(place / name))
 
 
 READ = (session.FRAMES, session.POSES, session.ABOUT)

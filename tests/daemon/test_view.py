@@ -171,21 +171,17 @@ def test_no_screen_no_daemon_and_wrong_arguments_are_one_line_each(
 
 
 @pytest.fixture
-def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], object]:
     """Makes a shell script the viewer; its directory is the test's."""
     path = tmp_path / "viewer"
-
-    def make(script: str) -> None:
-        path.write_text(f"#!/bin/sh\ncd {tmp_path}\n{script}\n", encoding="ascii")
-        path.chmod(0o755)
-
+    path.touch(mode=0o755)
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(view, "VIEWER", str(path))
-    return make
+    return lambda script: path.write_text(f"#!/bin/sh\ncd {tmp_path}\n{script}\n", "ascii")
 
 
 def test_a_window_gets_all_and_no_other_machine_reaches_it(
-    viewer: Callable[[str], None], tmp_path: Path
+    viewer: Callable[[str], object], tmp_path: Path
 ) -> None:
     viewer("echo $@ >options; cat >seen.rrd")
     assert main(["view", str(SESSION)]) == 0
@@ -194,14 +190,14 @@ def test_a_window_gets_all_and_no_other_machine_reaches_it(
 
 
 def test_a_window_that_is_closed_ends_the_view_of_a_daemon(
-    viewer: Callable[[str], None], daemon: Callable[..., str], tmp_path: Path
+    viewer: Callable[[str], object], daemon: Callable[..., str], tmp_path: Path
 ) -> None:
     viewer("head -c 20000 >seen")
     assert main(["view", daemon()]) == 0
     assert (tmp_path / "seen").stat().st_size == 20_000
 
 
-def test_a_window_that_is_closed_leaves_the_rest_undrawn(viewer: Callable[[str], None]) -> None:
+def test_a_window_that_is_closed_leaves_the_rest_undrawn(viewer: Callable[[str], object]) -> None:
     """The stream's own end would wait for it while it holds the interpreter."""
     viewer("exit 0")
     picture, much = view.Picture(), rr.Points3D(np.zeros((200, 3)))
@@ -209,6 +205,6 @@ def test_a_window_that_is_closed_leaves_the_rest_undrawn(viewer: Callable[[str],
     view.show(picture, (view.PAUSE for _ in logged), lambda: False)
 
 
-def test_a_viewer_that_fails_is_one_line(viewer: Callable[[str], None]) -> None:
+def test_a_viewer_that_fails_is_one_line(viewer: Callable[[str], object]) -> None:
     viewer("exit 1")
     assert refused("view", SESSION).startswith("view: the viewer failed")
