@@ -9,9 +9,9 @@ Other names may change at any time. `import taxeld` alone imports none of these 
 commands start at once.
 """
 
-from taxeld.advice.advice import Advice, Advisor, Approach
-from taxeld.advice.lines import Reach
-from taxeld.commands.advise import advise
+from taxeld.advice.advice import Advised, TouchMemory, advise
+from taxeld.advice.candidates import Candidate
+from taxeld.commands.advise import remembered
 from taxeld.commands.replay import Replay
 from taxeld.config.file import load as load_config
 from taxeld.config.gate import ConfigError
@@ -34,10 +34,9 @@ from taxeld_protocol.decoder import Scan
 
 __all__ = [
     "Activation",
-    "Advice",
-    "Advisor",
-    "Approach",
+    "Advised",
     "Bundle",
+    "Candidate",
     "Config",
     "ConfigError",
     "Estimate",
@@ -51,7 +50,6 @@ __all__ = [
     "PoseMetric",
     "Proposal",
     "ProposalKind",
-    "Reach",
     "Replay",
     "Scan",
     "Scene",
@@ -59,9 +57,11 @@ __all__ = [
     "Skin",
     "SkinConfig",
     "Status",
+    "TouchMemory",
     "Why",
     "advise",
     "load_bundle",
     "load_config",
     "load_layout",
+    "remembered",
 ]

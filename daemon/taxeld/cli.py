@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -188,24 +189,19 @@ def _answer(args: argparse.Namespace, command: str, **what: object) -> dict[str,
 
 
 def _advise(args: argparse.Namespace) -> int:
-    """Tell where to touch next, by what a running daemon has felt.
+    """Rank approaches that the robot can make by what a touch there would tell.
 
-    taxeld advise can0.toml
-    taxeld advise can0.toml --json --follow
-    taxeld advise can0.toml --reach 0.2 0.8 -0.3 0.3
+    taxeld advise can0.toml --candidates ring.csv
+    taxeld advise can0.toml --candidates ring.csv --json
     """
-    from taxeld.advice.lines import Reach
-    from taxeld.commands import advise
+    from taxeld.advice.advice import advise
+    from taxeld.commands.advise import lines, read, remembered
 
     config = load(args.config)
-    reach = Reach(box_m=tuple(args.reach))
-    for advice in advise.follow(config, reach, command_line.stopping()):
-        if args.json:
-            print(advise.as_json(advice, config.names), flush=True)
-        else:
-            print("\n".join(advise.lines(advice, config.names)), flush=True)
-        if not args.follow:
-            break
+    candidates = read(args.candidates, config.names)
+    found = advise(remembered(config), candidates)
+    told = [json.dumps(asdict(each)) for each in found] if args.json else lines(found, config.names)
+    print("\n".join(told))
     return 0
 
 
@@ -265,9 +261,8 @@ COMMANDS: dict[Run, Arguments] = {
     ),
     _advise: (
         CONFIG,
-        flag("--json", "one line of JSON for each advice"),
-        flag("--follow", "again whenever more was felt, until stopped"),
-        given("--reach", "X X Y Y", "of the sensor [m] (the filter's square)", float, default=()),
+        given("--candidates", "FILE", "*.csv: x,y,theta,x1,y1 of each", Path, required=True),
+        flag("--json", "a line of JSON for each"),
     ),
     _view: (
         given("source", "CONFIG|ENDPOINT|SESSION", DAEMON_ABOUT, nargs="?", default=""),

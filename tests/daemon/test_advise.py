@@ -1,7 +1,8 @@
-"""`taxeld advise`: a client that learns what a daemon has felt, and advises by it."""
+"""`taxeld advise`: a client that learns what a daemon has felt, and ranks approaches by it."""
 
 import io
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,20 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taxeld.commands import advise
-from taxeld.config.file import load
+from taxeld.advice.candidates import Candidate
+from taxeld.commands.advise import read
 from taxeld.estimator.scans import Arrays
-from taxeld.model import se2
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.bundle import Bundle
 from taxeld.stream import client
 from tests.rig.commands import printed, refused
 from tests.rig.memories import remembered
 
+from .. import pages
 from .test_loop import settings
-from .test_pipeline import CAN, CONFIG, ROBOT, TRUTH, pipeline_of, story, taken
+from .test_pipeline import CAN, CONFIG, ROBOT, pipeline_of, story, taken
 
 Answer = Callable[[dict[str, Any] | None], None]
+HEAD = "x,y,theta,x1,y1"
+PAGE = Path(__file__).parents[2] / "docs" / "advice.md"
 
 
 @pytest.fixture
@@ -46,67 +49,70 @@ def answered(memory: Arrays) -> dict[str, Any]:
 
 
 @pytest.fixture
-def config(tmp_path: Path) -> Path:
-    """The daemon's configuration."""
-    path = tmp_path / "can0.toml"
-    path.write_text(f"[source]\n{CAN}\n{CONFIG}{ROBOT}", encoding="utf-8")
-    return path
+def asked(tmp_path: Path) -> tuple[object, ...]:
+    """The daemon's configuration, and the page's candidates."""
+    config = tmp_path / "can0.toml"
+    config.write_text(f"[source]\n{CAN}\n{CONFIG}{ROBOT}", encoding="utf-8")
+    with pages.working_in(tmp_path):
+        pages.run(pages.blocks(PAGE)[0].code, {})
+    return "advise", config, "--candidates", tmp_path / "ring.csv"
 
 
-def test_it_advises_by_what_the_daemon_has_felt(
-    felt: Pipeline, answer: Answer, config: Path
+def test_candidates_are_ranked_by_what_the_daemon_has_felt_as_the_page_shows(
+    felt: Pipeline, answer: Answer, asked: tuple[object, ...]
 ) -> None:
     answer(answered(remembered(felt.estimator)))
-    said = printed("advise", config).splitlines()
-    assert said[0] == "after 1 contacts, best first:"
-    assert said[1].startswith("1. from x ")
-    as_json = printed("advise", "--json", config)
-    assert as_json == printed("advise", "--json", config)
-    told = json.loads(as_json)
-    assert (told["contacts"], told["enough"]) == (1, False)
-    best = told["approaches"][0]
-    away_m = np.hypot(best["at"]["x"] - TRUTH[0], best["at"]["y"] - TRUTH[1])
-    assert 0.02 < away_m < 0.3
-    assert 0.0 < best["p_touch"] <= 1.0
-
-
-def test_approaches_are_told_in_the_poses_that_the_robot_sends(
-    felt: Pipeline, config: Path
-) -> None:
-    adviser, mount = advise.Adviser(load(config)), np.array([0.003, -0.002, 0.1])
-    own = adviser.advise(remembered(felt.estimator)).approaches[0]
-    adviser._mounts = [mount]
-    robot = adviser.advise(remembered(felt.estimator)).approaches[0]
-    assert se2.compose(robot.at, mount) == pytest.approx(own.at)
+    said, as_json = printed(*asked), printed(*asked, "--json")
+    assert as_json == printed(*asked, "--json")
+    told = [json.loads(line) for line in as_json.splitlines()]
+    assert [f"{each['nats']:.2f}" for each in told] == re.findall(r"^\d\S*", said, re.MULTILINE)
+    assert told[0]["nats"] > told[-1]["nats"]
+    shown = dict(pages.FENCED.findall(PAGE.read_text("utf-8")))["console"].partition("\n")[2]
+    assert pages.NUMBER.sub("N", shown).split() == pages.NUMBER.sub("N", said).split(), said
 
 
 def test_where_there_is_no_advice_it_says_why(
-    felt: Pipeline, answer: Answer, config: Path, tmp_path: Path
+    felt: Pipeline, answer: Answer, asked: tuple[object, ...], tmp_path: Path
 ) -> None:
     answer(None)
-    assert "no daemon answers" in refused("advise", config, status=1)
+    assert "no daemon answers" in refused(*asked, status=1)
     answer({"ok": False, "error": "nothing was felt yet: touch the object first"})
-    assert "nothing was felt yet" in refused("advise", config, status=1)
+    assert "nothing was felt yet" in refused(*asked, status=1)
     answer(answered(remembered(felt.estimator) | {"digest": np.array("other")}))
-    assert "the daemon has another scene" in refused("advise", config)
-    assert refused("advise", config, "--reach", 1, 0, 0, 1).startswith("reach: (1.0, 0.0, ")
+    assert "the daemon has another scene" in refused(*asked)
     bare = tmp_path / "bare.toml"
     text = settings(tmp_path)
     bare.write_text(text.replace('bundle = "box"', 'bundle = ""'), encoding="utf-8")
-    assert refused("advise", bare).startswith("scene.bundle: is empty")
+    assert refused("advise", bare, *asked[2:]).startswith("scene.bundle: is empty")
 
 
-def test_following_tells_again_only_once_more_was_felt(
-    felt: Pipeline, answer: Answer, config: Path, monkeypatch: pytest.MonkeyPatch
+def test_candidates_are_of_the_link_that_a_column_names(tmp_path: Path) -> None:
+    table = tmp_path / "ways.csv"
+    table.write_text(f"{HEAD},link\n0.1,0.2,-1,0.3,0.4,right\n", encoding="utf-8")
+    assert read(table, ["left", "right"]) == [Candidate(0.1, 0.2, -1.0, 0.3, 0.4, 1)]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (b"", ": unreadable (no lines of UTF-8 text); name a CSV file of x,y,theta,x1,y1"),
+        (b"\xff\xfe", ": unreadable (no lines of UTF-8 text); name a CSV file of x,y,theta,x1,y1"),
+        (b"x,y\n1,2\n", ": must be the line x,y,theta,x1,y1 and one for each approach"),
+        (HEAD.encode(), ": must be the line x,y,theta,x1,y1 and one for each approach"),
+        (b"0,0,0,1,0\n0,0,0,1\n", ":3: must be x,y,theta,x1,y1, not '0,0,0,1'"),
+        (b"0,0,0,1,0,left\n", ":2: must be x,y,theta,x1,y1, not '0,0,0,1,0,left'"),
+        (b"0,a,0,1,0\n", ":2: must be x,y,theta,x1,y1, not '0,a,0,1,0'"),
+        (b"0,nan,0,1,0\n", ":2: must be metres and radians, 10 at most"),
+        (b"0,0,90,1,0\n", ":2: must be metres and radians, 10 at most"),
+        (b"1,1,0,1,1\n", ":2: must end elsewhere than it begins"),
+        (b"0,0,0,1,0\n" * 1001, "candidates: must be at most 1000, not 1001"),
+    ],
+)
+def test_a_table_that_is_none_is_refused_in_a_line_with_its_place(
+    felt: Pipeline, answer: Answer, asked: tuple[object, ...], text: bytes, says: str
 ) -> None:
-    monkeypatch.setattr(advise, "LOOK_S", 0.0)
-    memory, looks = remembered(felt.estimator), iter(range(6))
-    answer(answered(memory))
-
-    def stopping() -> bool:
-        look = next(looks)
-        if look == 3:
-            answer(answered(memory | {"number": memory["number"] + 1}))
-        return look == 5
-
-    assert len(list(advise.follow(load(config), None, stopping))) == 2
+    answer(answered(remembered(felt.estimator)))
+    table = Path(str(asked[-1]))
+    table.write_bytes(text if text[:1] in b"x\xff" else f"{HEAD}\n".encode() + text)
+    said = refused(*asked)
+    assert said == (f"{table}{says}\n" if says.startswith(":") else f"{says}\n")

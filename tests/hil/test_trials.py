@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taxeld.advice.advice import Approach
+from taxeld.advice.candidates import PRESS_M, Candidate, way_until_felt
 from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
@@ -131,51 +131,59 @@ def test_a_touch_is_one_contact_no_deeper_than_asked_and_the_way_there_is_clear(
     assert np.linalg.norm(step, axis=1).max() < 0.005 * 0.251
 
 
-DEPTH_M = 0.003
-
-
-def approach(beside_m: float, direction: float = 0.4) -> Approach:
+def candidate(beside_m: float, direction: float = 0.4) -> Candidate:
     """Past the middle of the object, at so much to its side."""
-    ahead = np.array([np.cos(direction), np.sin(direction), 0.0])
-    aside = np.array([-ahead[1], ahead[0], 0.0])
-    middle = np.array([*se2.compose(TRUTH, np.array([*MODEL.scene.centre, 0.0]))[:2], 1.0])
-    before, at, until = (middle + beside_m * aside + way * ahead for way in (-0.25, 0.0, 0.25))
-    return Approach(0, before, at, until, direction, DEPTH_M, p_sure=0.5, gain=0.0, p_touch=1.0)
+    ahead = np.array([np.cos(direction), np.sin(direction)])
+    middle = se2.apply(TRUTH, MODEL.scene.centre[None])[0] + beside_m * ahead[::-1] * (-1.0, 1.0)
+    (x, y), (x1, y1) = middle - 0.25 * ahead, middle + 0.25 * ahead
+    return Candidate(x, y, 1.0, x1, y1)
 
 
-def advised(*approaches: Approach) -> tuple[World, Floats]:
+def told(*candidates: Candidate) -> tuple[World, Floats]:
     """A robot that makes these beside the object; and the times of its way."""
     world = World([MODEL], Conditions(robot_m=0.0), 1)
     world.place(TRUTH)
     world.plan("advised", 0)
-    for each in approaches:
+    for each in candidates:
         world.touch(each, world.duration_s + 0.2)
     return world, np.arange(0.0, world.duration_s, 0.005)
 
 
 @pytest.mark.parametrize("direction", np.linspace(-3.0, 3.0, 5))
-def test_an_advised_robot_touches_on_the_straight_way_alone_and_as_deep_as_advised(
+def test_a_robot_touches_on_a_candidates_straight_way_alone_and_as_deep_as_advice_takes_it(
     direction: float,
 ) -> None:
-    world, times = advised(approach(0.0), last := approach(0.02, direction))
+    world, times = told(candidate(0.0), last := candidate(0.02, direction))
     gap, touched = gaps(world, times), world.touched_s()
     is_within = ((touched[:, :1] <= times) & (times <= touched[:, 1:])).any(axis=0)
     assert gap[~is_within].min() > 0.5 * robot.SLOW_FROM_M
     pressed = gap < 0.0
     assert np.count_nonzero(np.diff(pressed.astype(int)) == 1) == 2
-    assert -DEPTH_M - 0.002 < gap.min() < -0.5 * DEPTH_M  # a millimetre is felt
-    np.testing.assert_allclose(world.sensor(world.duration_s), last.before)
+    assert -PRESS_M - 0.002 < gap.min() < -0.5 * PRESS_M  # a millimetre is felt
+    np.testing.assert_allclose(world.sensor(world.duration_s), last.after(np.zeros(1))[0])
     step = np.linalg.norm(np.diff([world.sensor(t)[:2] for t in times], axis=0), axis=1)
     assert step.max() < 0.005 * 1.01 * robot.TRAVEL_M_S
     assert step[pressed[1:]].max() < 0.005 * 1.01 * robot.PRESS_M_S
 
 
-def test_where_an_advised_robot_finds_nothing_it_goes_to_the_end_and_back() -> None:
-    world, times = advised(missed := approach(0.2))
+def test_where_nothing_is_on_a_candidates_way_the_robot_goes_to_its_end_and_back() -> None:
+    world, times = told(missed := candidate(0.2))
     assert gaps(world, times).min() > 0.0
+    begin, end = missed.after(np.array([0.0, missed.length_m]))
     sensors = np.array([world.sensor(t) for t in times])
-    assert np.linalg.norm(sensors - missed.until, axis=1).min() < 0.002
-    np.testing.assert_allclose(world.sensor(world.duration_s), missed.before)
+    assert np.linalg.norm(sensors - end, axis=1).min() < 0.002
+    np.testing.assert_allclose(world.sensor(world.duration_s), begin)
+
+
+def test_a_robot_reaches_the_object_from_all_sides_and_begins_clear_of_it() -> None:
+    world = World([MODEL], Conditions(), 1)
+    world.plan("advised", 0)
+    reached, truth = world.reached(), world.truth[None]
+    begin = np.concatenate([each.after(np.zeros(1)) for each in reached])
+    seen = se2.compose(se2.inverse(begin), truth)
+    assert contacts.clearance(MODEL.scene, MODEL.layout.radius_m, seen).min() > 0.02
+    ways = np.array([way_until_felt(each, MODEL, truth)[0] for each in reached])
+    assert 0.6 < np.isfinite(ways).mean() <= 1.0
 
 
 @pytest.mark.parametrize(

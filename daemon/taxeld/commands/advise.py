@@ -1,124 +1,87 @@
-"""`taxeld advise`: where to touch next, by the scans that a running daemon remembers.
+"""`taxeld advise`: which of some approaches would tell most, by what a running daemon remembers.
 
 A client: the daemon hands over what it has felt, and this process learns it by the same estimator.
 """
 
 import io
-import json
-import math
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import astuple, fields
+from pathlib import Path
 
 import numpy as np
 
-from taxeld.advice.advice import Advice, Advisor, Approach
-from taxeld.advice.lines import Reach
+from taxeld import files
+from taxeld.advice.advice import Advised, TouchMemory
+from taxeld.advice.candidates import Candidate
 from taxeld.commands import running
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
-from taxeld.estimator.scans import Arrays, scans_of
-from taxeld.model import se2
+from taxeld.estimator.scans import scans_of
 from taxeld.service.prepare import prepared
 
-LOOK_S = 0.2  # pause between two questions
+LARGEST = 1_000_000  # bytes of a file
 OTHER = "the daemon has another scene, skin or filter than this configuration: name the one it runs"
 
 
-class Adviser:
-    """Advises by a configuration's objects and skins, and by remembered scans."""
-
-    def __init__(self, config: Config, reach: Reach | None = None) -> None:
-        """Raises SetupError where a file that the configuration names cannot be used."""
-        if not config.scene.names:
-            raise SetupError("scene.bundle: is empty; advice is on an object")
-        pipeline = prepared(config, time.time()).pipeline
-        self._estimator = pipeline.estimator
-        calibrations = [stage.calibration for stage in pipeline.stages]
-        self._mounts = [None if one is None else one.mount for one in calibrations]
-        self._advisor = Advisor(self._estimator, reach)
-
-    def advise(self, memory: Arrays) -> Advice:
-        """Advice by the scans of a daemon's `memory`, in the poses that the robot sends.
-
-        Raises:
-            SetupError: the daemon's configuration is another one.
-        """
-        if memory["digest"].item() != self._estimator.digest:
-            raise SetupError(OTHER)
-        self._estimator.reset()
-        self._estimator.learn(scans_of(memory))
-        advice = self._advisor.advise()
-        return replace(advice, approaches=tuple(map(self._as_robot, advice.approaches)))
-
-    def _as_robot(self, one: Approach) -> Approach:
-        mount = self._mounts[one.link]
-        if mount is None:
-            return one
-        back = se2.inverse(mount)
-        before, at, until = (se2.compose(p, back) for p in (one.before, one.at, one.until))
-        return replace(one, before=before, at=at, until=until)
-
-
-def remembered(endpoint: str) -> Arrays:
-    """The scans that the daemon at a control endpoint remembers, as `estimator.scans` packs them.
+def read(path: Path, names: Sequence[str]) -> list[Candidate]:
+    """The candidates of a CSV file; `names` are of the links: of several, it has a column `link`.
 
     Raises:
-        SetupError: no daemon answers, or it has felt nothing yet.
+        SetupError: it cannot be read, or a line is none.
     """
-    packed = running.answer(endpoint, "memory")["memory"]
+    columns = [each.name for each in fields(Candidate)][: len(fields(Candidate)) - (len(names) < 2)]
+    shape = ",".join(columns) + f" (link: {', '.join(names)})" * (len(names) > 1)
+    try:
+        head, *rows = files.read(path, LARGEST).decode("utf-8-sig").replace(" ", "").splitlines()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or "no lines of UTF-8 text"
+        raise SetupError(f"{path}: unreadable ({why}); name a CSV file of {shape}") from None
+    if head.split(",") != columns or not rows:
+        raise SetupError(f"{path}: must be the line {shape} and one for each approach")
+    found = []
+    for number, row in enumerate(rows, 2):
+        try:
+            values = dict(zip(columns, row.split(","), strict=True))
+            link = names.index(values.pop("link", names[0]))
+            numbers = {name: float(value) for name, value in values.items()}
+            found.append(Candidate(**numbers, link=link))
+        except SetupError as error:
+            raise SetupError(f"{path}:{number}: {error}") from None
+        except ValueError:
+            raise SetupError(f"{path}:{number}: must be {shape}, not {row!r:.60}") from None
+    return found
+
+
+def remembered(config: Config) -> TouchMemory:
+    """What the daemon of a configuration has felt so far.
+
+    Raises:
+        SetupError: a file that the configuration names cannot be used, or the daemon has another
+            configuration.
+        WorkError: it does not answer, or has felt nothing yet.
+    """
+    if not config.scene.names:
+        raise SetupError("scene.bundle: is empty; advice is on an object")
+    packed = running.answer(config.control.endpoint, "memory")["memory"]
     with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
-        return dict(arrays)
+        memory = dict(arrays)
+    pipeline = prepared(config, time.time()).pipeline
+    if memory["digest"].item() != pipeline.estimator.digest:
+        raise SetupError(OTHER)
+    pipeline.estimator.learn(scans_of(memory))
+    calibrations = [stage.calibration for stage in pipeline.stages]
+    return TouchMemory(
+        pipeline.estimator, [None if one is None else one.mount for one in calibrations]
+    )
 
 
-def advise(config: Config, reach: Reach | None = None) -> Advice:
-    """Where to touch next: by what the daemon of a configuration has felt so far.
-
-    Raises:
-        SetupError: it does not answer, has felt nothing, or has another configuration.
-    """
-    return next(follow(config, reach, lambda: False))
-
-
-def follow(config: Config, reach: Reach | None, stopping: Callable[[], bool]) -> Iterator[Advice]:
-    """Advice now, and each time that the daemon has felt more, until `stopping`. Raises
-    SetupError, as `advise`."""
-    adviser, before = Adviser(config, reach), dict[str, bytes]()
-    while not stopping():
-        memory = remembered(config.control.endpoint)
-        now = {name: values.tobytes() for name, values in memory.items()}
-        if now != before:
-            before = now
-            yield adviser.advise(memory)
-        time.sleep(LOOK_S)
-
-
-def as_json(advice: Advice, names: tuple[str, ...]) -> str:
-    """One line of JSON; `names` are of the links."""
-    approaches = []
-    for one in advice.approaches:
-        poses = {name: getattr(one, name).tolist() for name in ("before", "at", "until")}
-        named = {name: dict(zip(("x", "y", "theta"), p, strict=True)) for name, p in poses.items()}
-        approaches.append(asdict(one) | named | {"name": names[one.link]})
-    found = {"contacts": advice.contacts, "enough": advice.is_enough, "approaches": approaches}
-    return json.dumps(found)
-
-
-def lines(advice: Advice, names: tuple[str, ...]) -> Iterator[str]:
+def lines(found: Iterable[Advised], names: Sequence[str]) -> Iterator[str]:
     """Lines for a person; `names` are of the links."""
-    free = ", best first:" if advice.approaches else ": no approach is free"
-    says = ": no touch would tell more" if advice.is_enough else free
-    yield f"after {advice.contacts} contacts{says}"
-    for number, one in enumerate(advice.approaches, 1):
-        of = f" with {names[one.link]}" if names[one.link] else ""
-        yield f"{number}. from {_place(one.before)}, yaw {one.before[2]:.3f} rad{of}"
-        along, deep = math.degrees(one.direction), 1e3 * one.depth_m
-        yield f"   along {along:.0f}°, until {_place(one.until)} at most"
-        yield f"   contact expected at {_place(one.at)}; then press {deep:.1f} mm"
-        chances = f"touches {one.p_touch:.0%}, sure afterwards {one.p_sure:.0%}"
-        yield f"   {chances}, gain {1e3 * one.gain:.1f} mm"
-
-
-def _place(pose: Any) -> str:
-    return f"x {pose[0]:.4f} m, y {pose[1]:.4f} m"
+    yield "nats  touches  free       x       y  theta      x1      y1"
+    for one in found:
+        *place, link = astuple(one.candidate)
+        x, y, theta, x1, y1 = place
+        says = f"{one.nats:4.2f}  {one.p_touch:7.0%}  {one.free_m:4.2f}"
+        way = f"{x:6.3f}  {y:6.3f}  {theta:5.2f}  {x1:6.3f}  {y1:6.3f}"
+        yield f"{says}  {way}  {names[link]}".rstrip()

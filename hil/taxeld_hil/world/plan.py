@@ -9,9 +9,7 @@ import math
 
 import numpy as np
 
-from taxeld.advice import lines
-from taxeld.advice.advice import Approach
-from taxeld.advice.lines import FELT_M, Lines
+from taxeld.advice.candidates import FELT_M, Candidate, depth_m, way_until_felt
 from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
@@ -30,6 +28,8 @@ BATCHES_MAX = 1000
 SIDE_RAD = np.pi / 4.0  # a side reaches this far in both directions
 PUSH_M = 0.25  # way of the sensor while it pushes the object
 OFF_CENTRE = 0.3  # largest distance of a push from the centre, as a share of the mean radius
+RING, RING_BESIDE = 12, 5  # directions from which a robot reaches the object, and lines of each
+BESIDE = 0.8  # how far beside its middle the outer ones are, as a share of its size
 TWIN_GAP_M = 0.01  # gap between the object and the one beside it
 TWIN_STEP_M = 0.002  # step of the search for that gap
 
@@ -59,16 +59,26 @@ class Circle:
         (points,) = _normal_ways(self._model, press[None], self.radius_m)
         return se2.compose(self._truth, np.column_stack([points, np.full(4, -press[2])]))
 
-    def advised(self, approach: Approach) -> Poses | None:
-        """Along an approach, until something is touched; None where nothing is."""
-        far = np.linalg.norm(approach.until[:2] - approach.before[:2])
-        begin, direction = approach.before[None], np.array([approach.direction])
-        line = Lines(approach.link, begin, direction, np.array([far]))
-        touched = float(lines.travel(line, self._model, self._truth[None])[0, 0])
+    def ring(self, link: int) -> list[Candidate]:
+        """Straight approaches of a link from all sides, to the object's middle and beside it."""
+        layout, angle = self._model.layout, np.linspace(-np.pi, np.pi, RING, endpoint=False)
+        x, y = layout.position_m[:, :2].mean(axis=0)
+        ahead = math.atan2(y, x) if math.hypot(x, y) > 0.1 * layout.radius_m else 0.0
+        widest = math.asin(BESIDE * self._model.scene.size / self.radius_m)
+        found = []
+        for aside in np.linspace(-widest, widest, RING_BESIDE):
+            begin, end = self.at(angle + np.pi - aside), self.at(angle + aside)
+            rows = np.column_stack([begin, se2.wrap(angle - ahead), end])
+            found += [Candidate(x, y, theta, x1, y1, link) for x, y, theta, x1, y1 in rows.tolist()]
+        return found
+
+    def along(self, candidate: Candidate) -> Poses | None:
+        """Along a candidate, until something is touched; None where nothing is."""
+        touched = float(way_until_felt(candidate, self._model, self._truth[None])[0])
         if not np.isfinite(touched):
             return None
-        ways = touched - np.array([np.inf, FELT_M + SLOW_FROM_M, FELT_M, -approach.depth_m])
-        return line.after_each(np.maximum(ways, 0.0))
+        ways = touched - np.array([np.inf, FELT_M + SLOW_FROM_M, FELT_M, -depth_m(self._model)])
+        return candidate.after(np.maximum(ways, 0.0))
 
 
 def _clear_m(model: ObservationModel, reach_m: float) -> float:
@@ -191,21 +201,21 @@ class Toucher:
         if twin is not None:
             far = np.linalg.norm(se2.apply(twin, scene.edge) - scene.centre, axis=1)
             self._reach_m = max(self._reach_m, float(far.max()))
-        circle = self._circle(place)
+        circle = self.circle(place)
         start = np.array([*circle.at(float(rng.uniform(-np.pi, np.pi))), 0.0])
         around = guide == "around"
         found = presses(model, given, touches, rng, self._reach_m, twin, around=around)
         self._presses = iter(found)
         self.robot = LinkRobot(circle.normal(found[0])[0] if touches else start)
 
-    def arrive(self, place: Poses, now: float, approach: Approach | None) -> Poses | None:
+    def arrive(self, place: Poses, now: float, candidate: Candidate | None) -> Poses | None:
         """From the time `now` on, go to where the next line (4, 3) to the object at `place` (3,)
         begins; → that line, None where nothing is on it."""
-        circle = self._circle(place)
+        circle = self.circle(place)
         self.robot.wait(now)
-        if approach is not None:
-            self._travel(circle, approach.before)
-            return circle.advised(approach)
+        if candidate is not None:
+            self._travel(circle, candidate.after(np.zeros(1))[0])
+            return circle.along(candidate)
         line = circle.normal(next(self._presses))
         self._travel(circle, line[0])
         return line
@@ -231,11 +241,12 @@ class Toucher:
         heading, yaw = rng.uniform(-np.pi, np.pi, 2)
         ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
         aside = rng.uniform(-OFF_CENTRE, OFF_CENTRE) * scene.mean_radius
-        circle = self._circle(place)
+        circle = self.circle(place)
         middle = np.array([*circle.centre, yaw]) + aside * np.array([-ahead[1], ahead[0], 0.0])
         start = middle - circle.radius_m * ahead
         self._travel(circle, start)
         self.robot.push(start, start + (2.0 * PUSH_M + 4.0 * scene.size) * ahead)
 
-    def _circle(self, place: Poses) -> Circle:
+    def circle(self, place: Poses) -> Circle:
+        """About the object at a place (3,)."""
         return Circle(self._model, place, self._reach_m)

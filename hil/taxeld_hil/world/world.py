@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from taxeld.advice.advice import Approach
+from taxeld.advice.candidates import Candidate
 from taxeld.arrays import Floats, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
@@ -110,10 +110,15 @@ class World:
             self.touch()
         self._take_paths()
 
-    def touch(self, approach: Approach | None = None, begin_s: float = 0.0) -> None:
+    def reached(self) -> list[Candidate]:
+        """The approaches that the robots can make to the object where it now stands."""
+        place = self._places[-1][1]
+        return [each for k, one in enumerate(self._touchers) for each in one.circle(place).ring(k)]
+
+    def touch(self, candidate: Candidate | None = None, begin_s: float = 0.0) -> None:
         """Plan another touch after all before and no sooner than at the scenario time `begin_s`:
-        along an approach, or a press of the plan's own."""
-        link = self.touches % len(self.links) if approach is None else approach.link
+        along a candidate, or a press of the plan's own."""
+        link = self.touches % len(self.links) if candidate is None else candidate.link
         toucher, place = self._touchers[link], self._places[-1][1]
         now = max(self._now, begin_s - IDLE_S)
         is_taken = self.touches > 0 and self.touches == self._given.kidnapped_after
@@ -123,11 +128,11 @@ class World:
         elif self.touches and self._step.any():
             place = place + self._step
             self._put(now, place)
-        line = toucher.arrive(place, now, approach)
+        line = toucher.arrive(place, now, candidate)
         if is_taken:
             self._put(toucher.robot.now, place)
-        if line is None and approach is not None:
-            toucher.robot.miss(approach.before, approach.until)
+        if line is None and candidate is not None:
+            toucher.robot.miss(*candidate.after(np.array([0.0, candidate.length_m])))
         elif line is not None:
             after = self._nudged(place, line) if self._given.nudged_m else place
             moved = se2.compose(after, se2.inverse(place))
