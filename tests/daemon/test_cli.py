@@ -82,8 +82,8 @@ def test_a_fault_of_what_a_run_opens_is_one_line_and_status_2(
 
 @pytest.mark.parametrize("command", ["check", "decode", "replay", "status", "advise", "calibrate"])
 def test_a_missing_file_is_one_line_and_status_2(command: str) -> None:
-    more = ["--out", "x.toml"] if command == "calibrate" else []
-    assert "nowhere" in refused(command, "/nowhere.toml", *more)
+    more = {"calibrate": ["--out", "x.toml"], "advise": ["--candidates", "x.csv"]}
+    assert "nowhere" in refused(command, "/nowhere.toml", *more.get(command, []))
 
 
 ELSEWHERE = (

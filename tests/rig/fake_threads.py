@@ -1,12 +1,13 @@
 """Threads that run one at a time, when a fake clock lets them: the same run each time."""
 
 import threading
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 
 class Threads:
-    """In place of the module `threading`, for code that uses Thread and Event."""
+    """In place of the module `threading`, for code that uses Thread, Event and a queue."""
 
     def __init__(self, clock: Callable[[], float], advance: Callable[[float], None]) -> None:
         """`advance` lets time pass until then, and `take_turns` meanwhile."""
@@ -21,6 +22,9 @@ class Threads:
 
     def Event(self) -> "_Event":  # noqa: N802
         return _Event(self)
+
+    def SimpleQueue(self) -> "_Queue":  # noqa: N802
+        return _Queue(self)
 
     def park(self, due: Callable[[], bool]) -> None:
         """The calling thread rests until `due`."""
@@ -88,3 +92,13 @@ class _Event:
         until_s = self._owner._clock() + timeout
         self._owner.park(lambda: self._is_set or self._owner._clock() >= until_s)
         return self._is_set
+
+
+class _Queue(deque[Any]):
+    def __init__(self, owner: Threads) -> None:
+        super().__init__()
+        self._owner, self.put = owner, self.append
+
+    def get(self) -> Any:
+        self._owner.park(lambda: bool(self))
+        return self.popleft()

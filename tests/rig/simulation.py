@@ -155,7 +155,8 @@ class Run:
             "taxeld.stream.link.Link._give": given,
             "taxeld.service.loop.Daemon.on_pose": posed,
             "taxeld.source.recorder.threading": world.writers,
-            "taxeld.service.kept.threading": world.writers,
+            "taxeld.worker.threading": world.writers,
+            "taxeld.worker.SimpleQueue": world.writers.SimpleQueue,
             "taxeld.source.recorder.FileIO": File,
             "taxeld.source.opening.open_device": lambda *_: SimulatedDevice(world),
         }
