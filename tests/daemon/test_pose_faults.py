@@ -1,6 +1,7 @@
 """A mistake with the sensor's pose is named with its cure, in status and in the log."""
 
 import itertools
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -121,8 +122,7 @@ def test_a_clock_that_was_set_is_no_fault_of_the_robot() -> None:
 def rows_of(**answer: Any) -> dict[str, str]:
     """The rows of an answer that is as documented but for this."""
     usual = {name: documented(f"/taxeld/{name}")[1] for name in ("estimate", "health")}
-    rows = (row.partition(": ") for row in lines(usual | answer))
-    return {name.rstrip(): value for name, _, value in rows}
+    return dict(re.split(r" *: ", row, maxsplit=1) for row in lines(usual | answer))
 
 
 def test_status_has_how_the_poses_come_and_what_is_wrong() -> None:

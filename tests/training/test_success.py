@@ -52,11 +52,6 @@ def all_tried() -> Iterator[Row]:
     return jobs.beside(tried, None, of_all, workers=2)
 
 
-def kept() -> list[Row]:
-    rows: list[Row] = json.loads(KEPT.read_text(encoding="utf-8"))["trials"]
-    return rows
-
-
 def of_seeds(rows: list[Row], figure: str) -> Floats:
     """(SEEDS,) touches of all objects and cells after which the figure holds."""
     reached = np.zeros(SEEDS)
@@ -68,26 +63,27 @@ def of_seeds(rows: list[Row], figure: str) -> Floats:
 def chance(now: Floats, before: Floats) -> float:
     """How likely figures (n,) of seeds fall by so much where their differences from those before
     have either sign alike: the exact test of signs turned."""
-    gained = (now - before,)
-    turned = stats.permutation_test(
-        gained, np.mean, permutation_type="samples", alternative="less", n_resamples=np.inf
+    return float(
+        stats.permutation_test(
+            (now - before,),
+            np.mean,
+            permutation_type="samples",
+            alternative="less",
+            n_resamples=np.inf,
+        ).pvalue
     )
-    return float(turned.pvalue)
 
 
-def test_the_rule_sees_a_fall_and_no_chance() -> None:
+def test_the_rule_sees_a_fall_and_no_rise() -> None:
     before = np.arange(20.0, 30.0)
     assert chance(before, before) == 1.0
     assert chance(before - 1.0, before) == pytest.approx(0.5**SEEDS)
     assert chance(before + 1.0, before) == 1.0
-    rng = np.random.default_rng(0)
-    red = [chance(before + rng.normal(size=SEEDS), before) < CHANCE for _ in range(300)]
-    assert np.mean(red) < 0.03
 
 
 @pytest.mark.check
 def test_as_many_objects_are_found_and_found_for_sure_as_were() -> None:
-    rows, before = list(all_tried()), kept()
+    rows, before = list(all_tried()), json.loads(KEPT.read_text(encoding="utf-8"))["trials"]
     where = ("object", "cell", "seed")
     assert [[row[k] for k in where] for row in rows] == [[row[k] for k in where] for row in before]
     for figure in FIGURES:

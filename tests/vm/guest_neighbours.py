@@ -177,11 +177,10 @@ def floods_cost_nobody_a_frame_and_the_healthy_hear_again() -> str:
             losses[f"{attack} over TCP"] = flooded(STRANGER, attack, OVER_TCP, (over_tcp, member))
             losses[f"{attack} by members"] = flooded(MEMBER, attack, STREAM, (member, over_tcp))
         assert client.ask(CONTROL, "status", timeout_s=PATIENCE_S) is not None
-    told = "; ".join(
+    return f"{len(kept)} frames; " + "; ".join(
         f"{name}: {own:.0f} % lost, by the other door {other:.0f} %"
         for name, (own, other) in losses.items()
     )
-    return f"{told}; {len(kept)} frames"
 
 
 @check
