@@ -14,7 +14,6 @@ from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.likelihood import NumpyExplainer
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
@@ -120,15 +119,8 @@ def test_what_two_objects_would_be_told_apart_by_is_worth_a_touch(skin: Layout) 
     assert best.nats > worst.nats + 0.3
 
 
-@pytest.mark.parametrize("is_compiled", [True, False])
-def test_a_scan_that_may_come_is_as_likely_as_when_it_has_come(
-    box_model: ObservationModel, is_compiled: bool
-) -> None:
-    rng = np.random.default_rng(0)
-    memory = memory_of(box_model, Noise())
-    if not is_compiled:
-        numpy = NumpyExplainer(box_model, Noise())
-        memory = replace(memory, skin=replace(memory.skin, explainers=[numpy]))
+def test_a_scan_that_may_come_is_as_likely_as_when_it_has_come(box_model: ObservationModel) -> None:
+    rng, memory = np.random.default_rng(0), memory_of(box_model, Noise())
     made = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 60, rng)
     sensor = np.tile([0.2, -0.1, 0.4], (len(made.pose), 1))
     poses = se2.compose(sensor, made.pose)

@@ -3,7 +3,6 @@
 import io
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,45 +11,33 @@ import pytest
 
 from taxeld.advice.candidates import Candidate
 from taxeld.commands.advise import read
-from taxeld.estimator.scans import Arrays
-from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.bundle import Bundle
 from taxeld.stream import client
 from tests.rig.commands import printed, refused
 from tests.rig.memories import remembered
 
 from .. import pages
-from .test_loop import settings
 from .test_pipeline import CAN, CONFIG, ROBOT, pipeline_of, story, taken
 
-Answer = Callable[[dict[str, Any] | None], None]
+Asked = tuple[str, Path, str, Path]
 HEAD = "x,y,theta,x1,y1"
 PAGE = Path(__file__).parents[2] / "docs" / "advice.md"
 
 
 @pytest.fixture
-def felt(box: Bundle) -> Pipeline:
-    """What a daemon has felt of the box in one touch."""
-    pipeline = pipeline_of(box, ROBOT)
+def answer(box: Bundle, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Of a daemon that has felt the box in one touch."""
+    pipeline, packed = pipeline_of(box, ROBOT), io.BytesIO()
     taken(pipeline, story(box, 5.0))
-    return pipeline
+    np.savez(packed, allow_pickle=False, **remembered(pipeline.estimator))
+    given = {"ok": True, "memory": packed.getvalue()}
+    monkeypatch.setattr(client, "ask", lambda *_: given)
+    return given
 
 
 @pytest.fixture
-def answer(monkeypatch: pytest.MonkeyPatch) -> Answer:
-    """Sets what the daemon answers."""
-    return lambda given: monkeypatch.setattr(client, "ask", lambda *_: given)
-
-
-def answered(memory: Arrays) -> dict[str, Any]:
-    packed = io.BytesIO()
-    np.savez(packed, allow_pickle=False, **memory)
-    return {"ok": True, "memory": packed.getvalue()}
-
-
-@pytest.fixture
-def asked(tmp_path: Path) -> tuple[object, ...]:
-    """The daemon's configuration, and the page's candidates."""
+def asked(tmp_path: Path) -> Asked:
+    """With the daemon's configuration, and the page's candidates."""
     config = tmp_path / "can0.toml"
     config.write_text(f"[source]\n{CAN}\n{CONFIG}{ROBOT}", encoding="utf-8")
     with pages.working_in(tmp_path):
@@ -58,10 +45,8 @@ def asked(tmp_path: Path) -> tuple[object, ...]:
     return "advise", config, "--candidates", tmp_path / "ring.csv"
 
 
-def test_candidates_are_ranked_by_what_the_daemon_has_felt_as_the_page_shows(
-    felt: Pipeline, answer: Answer, asked: tuple[object, ...]
-) -> None:
-    answer(answered(remembered(felt.estimator)))
+@pytest.mark.usefixtures("answer")
+def test_candidates_are_ranked_by_what_the_daemon_has_felt_as_the_page_shows(asked: Asked) -> None:
     said, as_json = printed(*asked), printed(*asked, "--json")
     assert as_json == printed(*asked, "--json")
     told = [json.loads(line) for line in as_json.splitlines()]
@@ -71,19 +56,17 @@ def test_candidates_are_ranked_by_what_the_daemon_has_felt_as_the_page_shows(
     assert pages.NUMBER.sub("N", shown).split() == pages.NUMBER.sub("N", said).split(), said
 
 
-def test_where_there_is_no_advice_it_says_why(
-    felt: Pipeline, answer: Answer, asked: tuple[object, ...], tmp_path: Path
-) -> None:
-    answer(None)
-    assert "no daemon answers" in refused(*asked, status=1)
-    answer({"ok": False, "error": "nothing was felt yet: touch the object first"})
+def test_where_there_is_no_advice_it_says_why(answer: dict[str, Any], asked: Asked) -> None:
+    text = asked[1].read_text("utf-8")
+    for was, other, says in (
+        (CONFIG, "", "scene.bundle: is empty"),
+        ('"manifold"', '"manifold"\nseed = 7', "the daemon has another scene"),
+        ('"manifold"', '"manifold"\ninjection = "paper"', "the daemon has another scene"),
+    ):
+        asked[1].write_text(text.replace(was, other), encoding="utf-8")
+        assert refused(*asked).startswith(says)
+    answer |= {"ok": False, "error": "nothing was felt yet"}
     assert "nothing was felt yet" in refused(*asked, status=1)
-    answer(answered(remembered(felt.estimator) | {"digest": np.array("other")}))
-    assert "the daemon has another scene" in refused(*asked)
-    bare = tmp_path / "bare.toml"
-    text = settings(tmp_path)
-    bare.write_text(text.replace('bundle = "box"', 'bundle = ""'), encoding="utf-8")
-    assert refused("advise", bare, *asked[2:]).startswith("scene.bundle: is empty")
 
 
 def test_candidates_are_of_the_link_that_a_column_names(tmp_path: Path) -> None:
@@ -92,6 +75,7 @@ def test_candidates_are_of_the_link_that_a_column_names(tmp_path: Path) -> None:
     assert read(table, ["left", "right"]) == [Candidate(0.1, 0.2, -1.0, 0.3, 0.4, 1)]
 
 
+@pytest.mark.usefixtures("answer")
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -109,10 +93,7 @@ def test_candidates_are_of_the_link_that_a_column_names(tmp_path: Path) -> None:
     ],
 )
 def test_a_table_that_is_none_is_refused_in_a_line_with_its_place(
-    felt: Pipeline, answer: Answer, asked: tuple[object, ...], text: bytes, says: str
+    asked: Asked, text: bytes, says: str
 ) -> None:
-    answer(answered(remembered(felt.estimator)))
-    table = Path(str(asked[-1]))
-    table.write_bytes(text if text[:1] in b"x\xff" else f"{HEAD}\n".encode() + text)
-    said = refused(*asked)
-    assert said == (f"{table}{says}\n" if says.startswith(":") else f"{says}\n")
+    asked[3].write_bytes(text if text[:1] in b"x\xff" else f"{HEAD}\n".encode() + text)
+    assert refused(*asked) == (f"{asked[3]}{says}\n" if says.startswith(":") else f"{says}\n")
