@@ -26,7 +26,8 @@ def test_the_version_is_the_same_wherever_it_stands() -> None:
     sections = re.findall(
         r"^## (\S+)(?:, \d{4}-\d\d-\d\d)?$", text_of("CHANGELOG.md"), re.MULTILINE
     )
-    assert PROJECT["version"] == __version__ == sections[0]
+    released = next(each for each in sections if each != "Unreleased")
+    assert PROJECT["version"] == __version__ == released
 
 
 def test_contributing_lists_every_make_target_and_files_that_are_there() -> None:
