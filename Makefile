@@ -29,7 +29,7 @@ lint: .venv/.all
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python tests/words.py
-	$(BIN)/python -m taxeld_training.trials.tables
+	$(BIN)/python -m taxeld_sim.answers.tables
 
 # The documentation as a site in .venv/site; a link that leads nowhere ends it
 docs: .venv/.docs
@@ -50,7 +50,7 @@ bench-peers: .venv/.peers
 # as --workers tcp://HOST:8786 or --layout skin.json
 results: .venv/.all
 	$(BIN)/taxeld-train evaluate $(ASK)
-	$(BIN)/python -m taxeld_training.trials.tables --write
+	$(BIN)/python -m taxeld_sim.answers.tables --write
 
 # The notebook's pictures, of a demo's session
 picture: .venv/.all

@@ -21,11 +21,11 @@ from taxeld.model import se2
 from taxeld.service import calibration_file
 from taxeld.skin.calibration import Calibration, skin_digest
 from taxeld.source.recorder import Recorder
-from taxeld_hil.objects import bundles
 from taxeld_hil.run.session_run import write_truth
 from taxeld_protocol.array import FULL, REST, ArrayFrame
-from taxeld_training.trials import real
-from taxeld_training.trials.real import PRESSED_S, RELEASED_S, Arm
+from taxeld_sim.objects import bundles
+from taxeld_training.evaluation import real
+from taxeld_training.evaluation.real import PRESSED_S, RELEASED_S, Arm
 
 BEGUN_S, TOUCHES, TOUCH_S = 1.7e9, 12, 2.0
 CONFIG = """\

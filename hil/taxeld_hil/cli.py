@@ -17,12 +17,12 @@ from taxeld import command_line
 from taxeld.command_line import Arguments, Run, flag, given, natural
 from taxeld.config import endpoints
 from taxeld.errors import SetupError
-from taxeld_hil import jobs
-from taxeld_hil.scenario.mesh_config import FOAMS
+from taxeld_sim import jobs
+from taxeld_sim.world.mesh_config import FOAMS
 
 if TYPE_CHECKING:
-    from taxeld_hil.jobs import Job
     from taxeld_hil.scenario.scenario import Scenario
+    from taxeld_sim.jobs import Job
 
 MATRIX_OBJECTS, MATRIX_FOAMS = ("box", "mug"), ("scene", "typical", "poor")
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parent / "scenarios").glob("*.toml"))
@@ -117,8 +117,8 @@ def _expect(args: argparse.Namespace) -> int:
     taxeld-hil expect --object bracket.stl --layout skin.json --foam poor --robot-mm 2
     """
     from taxeld_hil.experiment import expect
-    from taxeld_hil.world.conditions import Conditions
-    from taxeld_hil.world.subjects import Subject
+    from taxeld_sim.world.conditions import Conditions
+    from taxeld_sim.world.subjects import Subject
 
     for option, value in (("--seeds", args.seeds), ("--touches", args.touches)):
         if value < 1:
@@ -142,9 +142,9 @@ def _matrix(args: argparse.Namespace) -> int:
     taxeld-hil matrix demo --seeds 2 --out matrix
     taxeld-hil matrix demo --random 1 --seeds 60 --out soak
     """
-    from taxeld_hil import jobs
     from taxeld_hil.experiment import runs
     from taxeld_hil.scenario import scenario as scenarios
+    from taxeld_sim import jobs
 
     names = args.scenario or list(scenarios.shipped())
     objects, foams = args.object or MATRIX_OBJECTS, args.foam or MATRIX_FOAMS

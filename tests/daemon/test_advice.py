@@ -20,7 +20,7 @@ from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.symmetry import Mode
 from taxeld.proposals.analytic import Projection, Table
-from taxeld_hil.world.plan import Circle
+from taxeld_sim.world.plan import Circle
 from tests.rig.memories import memory_of, plus
 from tests.rig.pressed_box import TRUTH, World, approach, estimator, settled
 from tests.rig.scenes import DEPTH_MAX_M, box, disc, scene_of

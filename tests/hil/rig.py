@@ -21,12 +21,12 @@ from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.trials.case import Case
-from taxeld_hil.trials.play import SCAN_S, Direct, world_of
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.subjects import Subject
-from taxeld_hil.world.world import IDLE_S, World
 from taxeld_protocol.modules import wired
+from taxeld_sim.trials.case import Case
+from taxeld_sim.trials.play import SCAN_S, Direct, world_of
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.subjects import Subject
+from taxeld_sim.world.world import IDLE_S, World
 from tests.rig.virtual_hub import frames_of, told
 
 DEMO = scenario.load("demo")

@@ -11,15 +11,16 @@ import pytest
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model import se2
-from taxeld_hil import cli, jobs
+from taxeld_hil import cli
 from taxeld_hil.experiment import expect
 from taxeld_hil.experiment.expect import AS_IS, cases
 from taxeld_hil.experiment.runs import RunRow
-from taxeld_hil.trials.play import Touch
-from taxeld_hil.trials.play import world_of as world_of_case
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.subjects import Subject, model_of
-from taxeld_hil.world.world import world_of
+from taxeld_hil.scenario.staged import world_of
+from taxeld_sim import jobs
+from taxeld_sim.trials.play import Touch
+from taxeld_sim.trials.play import world_of as world_of_case
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.subjects import Subject, model_of
 from tests.hil.rig import DEMO
 from tests.rig.commands import refused
 from tests.rig.skins import table_of

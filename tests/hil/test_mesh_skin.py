@@ -15,10 +15,10 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model import contacts
 from taxeld.proposals import bundle
-from taxeld_hil.objects import meshes
-from taxeld_hil.world import solids
-from taxeld_hil.world.mesh_skin import LAYER_M, MeshSkin
-from taxeld_hil.world.subjects import Subject, model_of, solid_of
+from taxeld_sim.objects import meshes
+from taxeld_sim.world import solids
+from taxeld_sim.world.mesh_skin import LAYER_M, MeshSkin
+from taxeld_sim.world.subjects import Subject, model_of, solid_of
 
 RING = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(RING)

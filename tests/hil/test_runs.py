@@ -12,11 +12,12 @@ import pytest
 
 from taxeld.estimator.estimate import SURE
 from taxeld.layout import read as layouts
-from taxeld_hil import cli, integrity
+from taxeld_hil import cli
 from taxeld_hil.experiment import runs
 from taxeld_hil.scenario import random_faults
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.trials import case
+from taxeld_sim import integrity
+from taxeld_sim.trials import case
 from tests.hil.rig import DEMO, SKIN
 from tests.rig.skins import table_of
 

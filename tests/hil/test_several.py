@@ -14,7 +14,7 @@ from taxeld_hil.grade.session import POSE, read
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Fault
-from taxeld_hil.world.world import world_of
+from taxeld_hil.scenario.staged import world_of
 from tests.hil.rig import DEMO, passing
 from tests.hil.test_faults import judged
 

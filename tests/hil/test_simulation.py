@@ -13,12 +13,13 @@ from taxeld.proposals import bundle
 from taxeld.proposals.samples import Samples
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Expect, Fault, Scenario
-from taxeld_hil.trials import play
-from taxeld_hil.trials.case import Case
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.skin import exact
-from taxeld_hil.world.subjects import Subject
-from taxeld_hil.world.world import IDLE_S, World, world_of
+from taxeld_hil.scenario.staged import world_of
+from taxeld_sim.trials import play
+from taxeld_sim.trials.case import Case
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.skin import exact
+from taxeld_sim.world.subjects import Subject
+from taxeld_sim.world.world import IDLE_S, World
 from tests.hil.rig import SKIN
 from tests.rig.processes import python
 

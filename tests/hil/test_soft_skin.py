@@ -12,10 +12,11 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.gate import Given
 from taxeld.model.response import response
 from taxeld_hil.scenario import scenario
-from taxeld_hil.scenario.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL, MeshConfig
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.skin import (
+from taxeld_hil.scenario.staged import world_of
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.mesh_config import PLAIN, POOR, SKINS, STIFF, TYPICAL, MeshConfig
+from taxeld_sim.world.skin import (
     COUNT_MAX,
     Foam,
     PerPress,
@@ -24,7 +25,6 @@ from taxeld_hil.world.skin import (
     drawn,
     onsets,
 )
-from taxeld_hil.world.world import world_of
 from tests.hil.rig import DEMO, MODULES, SKIN
 
 from ..rig.examples import examples

@@ -17,12 +17,13 @@ from taxeld.proposals import bundle, choice
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.trials.case import Case, Method
-from taxeld_hil.trials.play import SCAN_S, TICK_S, Direct, play
-from taxeld_hil.world import plan, robot
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.subjects import Subject
-from taxeld_hil.world.world import AWAY, World, world_of
+from taxeld_hil.scenario.staged import world_of
+from taxeld_sim.trials.case import Case, Method
+from taxeld_sim.trials.play import SCAN_S, TICK_S, Direct, play
+from taxeld_sim.world import plan, robot
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.subjects import Subject
+from taxeld_sim.world.world import AWAY, World
 from tests.hil.rig import MODEL, MODULES, SKIN, TRUTH
 from tests.rig.scenes import disc, scene_of
 

@@ -18,8 +18,8 @@ from deploy import manuals
 from taxeld.command_line import ONE_THREAD
 from taxeld.config import file as config_file
 from taxeld.config import gate
-from taxeld_hil.scenario.mesh_config import FOAMS
 from taxeld_hil.scenario.scenario import Scenario, shipped
+from taxeld_sim.world.mesh_config import FOAMS
 from tests import pages
 from tests.rig.processes import python
 

@@ -8,7 +8,7 @@ import trimesh
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
-from taxeld_hil.objects import scenes
+from taxeld_sim.objects import scenes
 from taxeld_training.models.dataset import simulate
 
 RING = "cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015"

@@ -9,15 +9,16 @@ from typing import Any
 import pytest
 
 from taxeld_hil.cli import main as harness
-from taxeld_hil.integrity import Claims
-from taxeld_hil.trials.case import TABLED, Case
-from taxeld_hil.trials.play import play
-from taxeld_hil.world.subjects import Subject
+from taxeld_sim.answers import questions
+from taxeld_sim.answers.questions import Selection
+from taxeld_sim.integrity import Claims
+from taxeld_sim.trials.case import TABLED, Case
+from taxeld_sim.trials.play import play
+from taxeld_sim.world.subjects import Subject
 from taxeld_training import closing
 from taxeld_training.cli import main
-from taxeld_training.trials import questions, run, samplers
-from taxeld_training.trials.questions import Selection
-from taxeld_training.trials.run import Workers
+from taxeld_training.evaluation import run, samplers
+from taxeld_training.evaluation.run import Workers
 
 from .rig import RING, written_at
 

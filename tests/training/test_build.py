@@ -19,8 +19,8 @@ from taxeld.errors import SetupError
 from taxeld.estimator.scans import noise_of
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
-from taxeld_hil.integrity import Claims
-from taxeld_hil.objects import meshes
+from taxeld_sim.integrity import Claims
+from taxeld_sim.objects import meshes
 from taxeld_training import candidates, closing, progress
 from taxeld_training.build import summary
 from taxeld_training.cli import main

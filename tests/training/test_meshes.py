@@ -11,7 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from taxeld.layout import read as layouts
-from taxeld_hil.objects import HEIGHT_M, meshes, scenes
+from taxeld_sim.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.cli import main
 from taxeld_training.objects.report import TURNS, doubts
 from tests.rig.commands import printed, refused

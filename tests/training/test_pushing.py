@@ -8,9 +8,9 @@ from scipy import optimize
 
 from taxeld.arrays import Floats, Poses
 from taxeld.model import contacts, se2
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.ground import DEPTH_M, Ground
-from taxeld_hil.world.world import World
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.ground import DEPTH_M, Ground
+from taxeld_sim.world.world import World
 
 from .rig import MODEL, SKIN
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from taxeld_sim.answers import questions
+from taxeld_sim.answers.questions import Cell, Selection
 from taxeld_training.cli import QUESTIONS, main
-from taxeld_training.trials import questions
-from taxeld_training.trials.questions import Cell, Selection
 from tests.rig.commands import refused
 
 BOX, _ = questions.listed("two")

@@ -23,8 +23,8 @@ from taxeld_hil.grade.grade import grade
 from taxeld_hil.grade.session import PUBLISHED, Run, add
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_training.cli import main
-from taxeld_training.trials import real, real_picture
-from taxeld_training.trials.real import Arm
+from taxeld_training.evaluation import real, real_picture
+from taxeld_training.evaluation.real import Arm
 from tests.rig import real_skin
 from tests.rig.array_skin import bound
 from tests.rig.clocks import until

@@ -16,7 +16,7 @@ from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.pipeline.pipeline import _reach_m
 from taxeld.proposals import manifest
 from taxeld.stream import messages
-from taxeld_hil.objects import meshes, scenes
+from taxeld_sim.objects import meshes, scenes
 from taxeld_training.objects.report import doubts
 
 from .rig import PAPER_RING, THREE_ROWS, box, can, handle, tube

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from taxeld_hil.trials.case import Case
-from taxeld_hil.trials.play import Touch
-from taxeld_hil.world.subjects import Subject
-from taxeld_training.trials import score
-from taxeld_training.trials.questions import Cell
-from taxeld_training.trials.score import Played
+from taxeld_sim.answers import score
+from taxeld_sim.answers.questions import Cell
+from taxeld_sim.answers.score import Played
+from taxeld_sim.trials.case import Case
+from taxeld_sim.trials.play import Touch
+from taxeld_sim.world.subjects import Subject
 
 BOX, MUG, CAN = (Subject(name) for name in ("box", "mug", "can"))
 LABELS = {"object": "box", "cell": "exact", "knows": "one", "touched": "known"}

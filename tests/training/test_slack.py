@@ -6,10 +6,10 @@ from taxeld.model.symmetry import add_m
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.analytic import Table
 from taxeld.proposals.samples import Samples
-from taxeld_hil.trials.case import Case
-from taxeld_hil.trials.play import SEEN_S, Direct, world_of
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.subjects import Subject, model_of
+from taxeld_sim.trials.case import Case
+from taxeld_sim.trials.play import SEEN_S, Direct, world_of
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.subjects import Subject, model_of
 
 BOX = Subject("box")
 SEEDS = 4

@@ -16,11 +16,11 @@ import pytest
 from scipy import stats
 
 from taxeld.arrays import Floats
-from taxeld_hil import jobs
-from taxeld_hil.integrity import Claims
-from taxeld_hil.trials.case import Case
-from taxeld_hil.trials.play import play
-from taxeld_training.trials import questions
+from taxeld_sim import jobs
+from taxeld_sim.answers import questions
+from taxeld_sim.integrity import Claims
+from taxeld_sim.trials.case import Case
+from taxeld_sim.trials.play import play
 
 KEPT = Path(__file__).with_name("success.json")
 OBJECTS, CELLS = ("003_cracker_box", "025_mug", "035_power_drill"), ("exact", "typical")

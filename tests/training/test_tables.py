@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from taxeld.errors import SetupError
-from taxeld_hil import jobs
-from taxeld_training.trials import charts, questions, run, tables
+from taxeld_sim import jobs
+from taxeld_sim.answers import charts, questions, tables
+from taxeld_training.evaluation import run
 
 ROOT = Path(__file__).parents[2]
 

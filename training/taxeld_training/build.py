@@ -19,8 +19,8 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals import manifest
-from taxeld_hil.objects import bundles, meshes
-from taxeld_hil.trials.case import TABLED, Method
+from taxeld_sim.objects import bundles, meshes
+from taxeld_sim.trials.case import TABLED, Method
 from taxeld_training import candidates, closing, progress
 from taxeld_training.models.variants import Variant
 from taxeld_training.objects.report import doubts

@@ -9,8 +9,8 @@ from taxeld import command_line
 from taxeld.command_line import Argument, Arguments, Run, flag, given
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_hil import jobs
-from taxeld_hil.objects import HEIGHT_M
+from taxeld_sim import jobs
+from taxeld_sim.objects import HEIGHT_M
 
 QUESTIONS = "works, whole, map, which, advice, push, published, samplers, real"
 DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
@@ -52,7 +52,7 @@ def _seal(args: argparse.Namespace) -> int:
 
     taxeld-train seal bracket
     """
-    from taxeld_hil.objects import bundles
+    from taxeld_sim.objects import bundles
 
     bundles.seal(args.bundle)
     print(f"{args.bundle}: sealed")
@@ -91,8 +91,8 @@ def _evaluate(args: argparse.Namespace) -> int:
     taxeld-train evaluate map --cells moved,robot --objects 025_mug --out results
     taxeld-train evaluate real --data recordings --out results
     """
-    from taxeld_training.trials import run
-    from taxeld_training.trials.questions import Selection, names
+    from taxeld_sim.answers.questions import Selection, names
+    from taxeld_training.evaluation import run
 
     layouts = tuple(jobs.layouts(args.layout))
     seeds = _seeds(args.seeds)

@@ -17,14 +17,14 @@ from taxeld.arrays import Floats
 from taxeld.config import tables
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
-from taxeld_hil import jobs
-from taxeld_hil.integrity import Claims
-from taxeld_hil.trials.case import TABLED, Case, Method
-from taxeld_hil.trials.play import Touch, play
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.subjects import Subject
+from taxeld_sim import jobs
+from taxeld_sim.answers.score import by_seeds
+from taxeld_sim.integrity import Claims
+from taxeld_sim.trials.case import TABLED, Case, Method
+from taxeld_sim.trials.play import Touch, play
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.subjects import Subject
 from taxeld_training.progress import Tell
-from taxeld_training.trials.score import by_seeds
 
 STAGE, PAIRS = "trials", "pairs"
 FOAMS = {"exact": Conditions()} | {foam: Conditions(foam=foam) for foam in ("typical", "poor")}

@@ -1,7 +1,7 @@
 """`taxeld-hil expect`: how well an object will be found with a skin, touch by touch; and what would
 help: twice the patch, twice the foam's depth, or a calibration.
 
-Its trials are those of `taxeld_hil.trials`: the daemon's default filter with the table, which needs
+Its trials are those of `taxeld_sim.trials`: the daemon's default filter with the table, which needs
 no training, on random presses. An object is *found*, and an estimate *sure* or *misleading*, as in
 `integrity`.
 """
@@ -20,15 +20,15 @@ from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.layout.read import COLUMNS
 from taxeld_hil.experiment.runs import RunRow
-from taxeld_hil.integrity import FOUND_MM, Claims
-from taxeld_hil.jobs import Job, save
-from taxeld_hil.objects import meshes
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.trials.case import DEFAULT_LAYOUT, Case
-from taxeld_hil.trials.play import Touch, play
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.subjects import Subject, model_of, solid_of
 from taxeld_protocol.modules import MAX_MODULES
+from taxeld_sim.integrity import FOUND_MM, Claims
+from taxeld_sim.jobs import Job, save
+from taxeld_sim.objects import meshes
+from taxeld_sim.trials.case import DEFAULT_LAYOUT, Case
+from taxeld_sim.trials.play import Touch, play
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.subjects import Subject, model_of, solid_of
 
 AS_IS = "as it is"
 DEEPER = 2.0  # times the depth

@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
-from taxeld_hil.integrity import is_found
-from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.run.fake import FakeRun
 from taxeld_hil.scenario import random_faults, scenario
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.trials.case import digest
-from taxeld_hil.world.subjects import Subject, solid_of
-from taxeld_hil.world.world import load_model
+from taxeld_hil.scenario.staged import load_model
+from taxeld_sim import jobs
+from taxeld_sim.integrity import is_found
+from taxeld_sim.jobs import Job, layout_name
+from taxeld_sim.trials.case import digest
+from taxeld_sim.world.subjects import Subject, solid_of
 
 RATE_HZ = 40.0  # ticks on the fake clock, where none is late
 
@@ -57,7 +58,8 @@ def of(name: str, subject: Scenario, seed: int) -> Job:
     bundle, skin, layout, _ = _about(subject, seed).values()
     words = ", ".join(filter(None, [name, bundle, skin, layout, f"seed {seed}"]))
     specs = filter(None, (subject.layout, *subject.layouts))
-    code = digest(subject, map(Subject, (subject.bundle, *subject.bundles)), specs)
+    subjects = map(Subject, (subject.bundle, *subject.bundles))
+    code = digest(subject, subjects, specs) + jobs.code(("taxeld_hil/**/*.py",))
     return Job(words, play, (name, subject, seed), code=code)
 
 

@@ -18,7 +18,6 @@ from taxeld.model.symmetry import add_m
 from taxeld.pipeline.freshness import Why
 from taxeld.source.session import truth as true_pose
 from taxeld.stream.messages import STAGES
-from taxeld_hil import integrity
 from taxeld_hil.grade import session
 from taxeld_hil.grade.flags import signs
 from taxeld_hil.grade.reconcile import laws
@@ -26,7 +25,8 @@ from taxeld_hil.grade.recording import replayed
 from taxeld_hil.grade.session import POSE, Reception, Run
 from taxeld_hil.rules import MARKS
 from taxeld_hil.scenario.scenario import Expect
-from taxeld_hil.world.world import load_model
+from taxeld_hil.scenario.staged import load_model
+from taxeld_sim import integrity
 
 GRADE = "grade.json"
 PERCENTILES = {"p50": 50, "p90": 90, "p99": 99, "max": 100}

@@ -12,11 +12,12 @@ from taxeld_hil.rig.faults import Injector, PoseRow
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.rig.virtual_ihb import Phase, VirtualIhb
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
-from taxeld_hil.world.world import LINK_SEEDS, World, world_of
+from taxeld_hil.scenario.staged import world_of
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.array import ArrayFrame, Group
 from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.modules import NAMES, Module, is_of_bootloader, wired
+from taxeld_sim.world.world import LINK_SEEDS, World
 
 POSE_PERIOD_S = 0.01
 POSE_AGE_S = 0.004  # age of a pose in its message: scans fall between poses

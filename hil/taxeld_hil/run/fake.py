@@ -34,10 +34,10 @@ from taxeld_hil.rig.rig import Rig, rigs_of
 from taxeld_hil.run.session_run import SessionRun, write_truth
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
-from taxeld_hil.trials.guides import BeliefGuide
-from taxeld_hil.world import subjects
 from taxeld_protocol.cyskin import BROADCAST, Command, Packet
 from taxeld_protocol.frames import Chunk, Frame
+from taxeld_sim.trials.guides import BeliefGuide
+from taxeld_sim.world import subjects
 
 HEALTH_S = 1.0
 NOWHERE = Path("/nowhere")  # where no file, socket and device is

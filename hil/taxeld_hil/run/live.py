@@ -28,7 +28,7 @@ from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.session_run import SessionRun, write_truth
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
-from taxeld_hil.world.world import load_model
+from taxeld_hil.scenario.staged import load_model
 
 START_S = 60.0  # until the first scan; a busy machine has taken 20 s to start a daemon
 GRACE_S = 5.0  # for the daemon to stop

@@ -14,8 +14,8 @@ from taxeld.config.tables import LINKS_MAX
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle as bundles
-from taxeld_hil.scenario.mesh_config import FOAMS, PLAIN, SKINS, MeshConfig
 from taxeld_protocol.modules import MAX_MODULES, NAMES
+from taxeld_sim.world.mesh_config import FOAMS, PLAIN, SKINS, MeshConfig
 
 TRANSPORTS = ("slcan", "native", "can", "array")
 

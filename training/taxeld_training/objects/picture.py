@@ -17,7 +17,7 @@ from shapely.plotting import patch_from_polygon
 
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS, Scene
-from taxeld_hil.objects import scenes
+from taxeld_sim.objects import scenes
 from taxeld_training.objects.report import turns
 
 MM = 1e3

@@ -16,7 +16,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS
-from taxeld_hil.objects import meshes, scenes
+from taxeld_sim.objects import meshes, scenes
 
 UPRIGHT = "the link's axis must be vertical (within 0.1 rad), and the object stand as its mesh does"
 LARGE_M = 1.0  # an object that is larger is probably not in metres

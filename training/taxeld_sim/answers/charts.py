@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from PIL import Image
 
-from taxeld_training.trials.tables import Row, word
+from taxeld_sim.answers.tables import Row, word
 
 # Okabe and Ito's colours, for colour-blind readers, without their yellow, which is too pale
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#000000")

@@ -6,7 +6,7 @@ import numpy as np
 
 from taxeld.advice.advice import TouchMemory, advise
 from taxeld.estimator.estimator import Estimator
-from taxeld_hil.world.world import World
+from taxeld_sim.world.world import World
 
 
 class BeliefGuide:

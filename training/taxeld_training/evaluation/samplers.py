@@ -11,16 +11,16 @@ from taxeld.layout import read as layouts
 from taxeld.model.contacts import Proposal
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld.proposals.sampler import Sampler
-from taxeld_hil import jobs
-from taxeld_hil.jobs import Job
-from taxeld_hil.trials.case import Case
-from taxeld_hil.world.subjects import Subject, model_of
+from taxeld_sim import jobs
+from taxeld_sim.answers.questions import Question
+from taxeld_sim.answers.score import by_seeds
+from taxeld_sim.jobs import Job
+from taxeld_sim.trials.case import Case
+from taxeld_sim.world.subjects import Subject, model_of
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.variants import Variant
-from taxeld_training.trials.questions import Question
-from taxeld_training.trials.score import by_seeds
 
 Row: TypeAlias = dict[str, Any]
 Wanted: TypeAlias = tuple[Subject, tuple[str, ...], str]  # an object, a skin, a proposal
@@ -38,7 +38,7 @@ DECIDES = (  # code that decides what samplers learn, and how far off they are
     "taxeld/estimator/scans.py",
     "taxeld/model/*.py",
     "taxeld/proposals/*.py",
-    "taxeld_hil/objects/*.py",
+    "taxeld_sim/objects/*.py",
     "taxeld_training/limits/*.py",
     "taxeld_training/models/*.py",
 )

@@ -15,9 +15,9 @@ from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import GRID, deviation, response
 from taxeld.skin.calibration import Calibration
-from taxeld_hil.scenario.mesh_config import MeshConfig, Pair
-from taxeld_hil.world.conditions import Conditions
 from taxeld_protocol.modules import Module
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.mesh_config import MeshConfig, Pair
 
 COUNT_MAX = 0xFFFF
 T0_COUNTS = 12_000  # level of every module's temperature channel; a press hardly moves it

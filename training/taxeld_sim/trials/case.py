@@ -20,9 +20,9 @@ from taxeld.model.contacts import Proposal
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC
-from taxeld_hil import jobs
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.subjects import Subject, model_of
+from taxeld_sim import jobs
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.subjects import Subject, model_of
 
 DEFAULT_LAYOUT = SkinConfig().layout
 OWN_SEEDS = 2**31  # added to a trial's seed, so that a filter does not draw what its trial drew
@@ -144,7 +144,7 @@ def digest(what: object, subjects: Iterable[Subject], specs: Iterable[str]) -> s
 
 def code() -> str:
     """Hash of the code and of the files shipped with it."""
-    packages = "taxeld", "taxeld_protocol", "taxeld_hil"
+    packages = "taxeld", "taxeld_protocol", "taxeld_sim"
     return jobs.code(tuple(f"{name}/**/*.{end}" for name in packages for end in ("py", "toml")))
 
 

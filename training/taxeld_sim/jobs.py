@@ -1,8 +1,8 @@
 """Jobs of an experiment: they run side by side, are remembered, and show their progress.
 
 A job is a function and its arguments. Its result is JSON, kept in a file of its own, so that an
-experiment cut short goes on where it stopped. The harness and the training both run theirs here,
-with the same options.
+experiment cut short goes on where it stopped. Harness and training run theirs here, with the same
+options.
 """
 
 import contextlib

@@ -14,7 +14,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals import manifest
 from taxeld.proposals.analytic import Table, check_contacts
-from taxeld_hil.objects import meshes, scenes
+from taxeld_sim.objects import meshes, scenes
 
 MESH = "mesh"  # name, before its suffix, of the copy of a mesh file for the harness
 

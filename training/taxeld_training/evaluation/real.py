@@ -36,13 +36,13 @@ from taxeld.model.response import SAG_M, SAG_SD
 from taxeld.model.symmetry import add_m
 from taxeld.prior import PosePrior
 from taxeld.proposals.analytic import Table
-from taxeld_hil import jobs
-from taxeld_hil.jobs import Job
-from taxeld_hil.objects import scenes
-from taxeld_hil.trials.case import OWN_SEEDS, code
-from taxeld_hil.trials.play import Touch, touch_of
-from taxeld_training.trials.questions import Question, Selection
-from taxeld_training.trials.score import Played, touches_of, without_nan
+from taxeld_sim import jobs
+from taxeld_sim.answers.questions import Question, Selection
+from taxeld_sim.answers.score import Played, touches_of, without_nan
+from taxeld_sim.jobs import Job
+from taxeld_sim.objects import scenes
+from taxeld_sim.trials.case import OWN_SEEDS, code
+from taxeld_sim.trials.play import Touch, touch_of
 
 # the touched part, the known ones, the tilt, the prior, and the number of touches
 Variant: TypeAlias = tuple[str, tuple[str, ...], float, str, int]
@@ -284,7 +284,7 @@ def run(
         raise SetupError(f"{question.name}: needs --data DIR, recordings; see docs/real-skin.md")
     folder = asked.data.resolve()
     digest = hashlib.sha256(b"".join(f.read_bytes() for f in sorted(folder.glob("*.npz"))))
-    key = code() + jobs.code(("taxeld_training/trials/real.py",)) + digest.hexdigest()[:16]
+    key = code() + jobs.code(("taxeld_training/evaluation/real.py",)) + digest.hexdigest()[:16]
     seeds = asked.seeds or tuple(range(question.seeds))
     todo: list[tuple[Job, dict[str, str], tuple[str, ...], int]] = []
     each = product(sorted(arms_of(folder)), question.objects, question.tilts, VARIANTS)

@@ -14,8 +14,8 @@ from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.robot import ARC_STEP_RAD, SLIP_S, SLOW_FROM_M, STANDOFF_M, LinkRobot
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.robot import ARC_STEP_RAD, SLIP_S, SLOW_FROM_M, STANDOFF_M, LinkRobot
 
 PLANNED = "around", "random", "push"  # guides that need not know what was felt
 AROUND_MOST = 8  # touches of one way around the object, so that as many see all of its sides

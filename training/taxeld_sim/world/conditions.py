@@ -1,12 +1,11 @@
 """The conditions of a simulated world: one table for scenarios, `expect` and all experiments."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any
 
 from taxeld.config.tables import SensorPoseConfig, SkinConfig
 from taxeld.errors import SetupError
-from taxeld_hil.scenario.mesh_config import FOAMS, PLAIN, SKINS, MeshConfig
-from taxeld_hil.scenario.scenario import Scenario
+from taxeld_sim.world.mesh_config import FOAMS, PLAIN, SKINS, MeshConfig
 
 
 @dataclass(frozen=True)
@@ -62,20 +61,3 @@ class Conditions:
     def is_exact(self) -> bool:
         """Whether the estimator's own model says how deep each taxel is pressed."""
         return self.foam == "scene"
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> Self:
-        """Those of a scenario."""
-        full_m = SkinConfig().full_scale_depth_m
-        return cls(
-            foam=scenario.physics,
-            keys=tuple(scenario.mesh.keys.items()),
-            baseline_counts=scenario.baseline_counts,
-            baseline_spread=scenario.baseline_spread,
-            full_scale_counts=scenario.full_scale_counts,
-            press=(scenario.press_min_m / full_m, scenario.press_max_m / full_m),
-            hold_s=scenario.hold_s,
-            robot_m=scenario.robot_m,
-            robot_told=True,
-            place_m=scenario.place_m,
-        )

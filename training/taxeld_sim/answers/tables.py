@@ -1,8 +1,8 @@
 """Rows of answers as files and as tables, and the pages that show them.
 
-    python -m taxeld_training.trials.tables           fails where a page and its rows disagree, and
+    python -m taxeld_sim.answers.tables           fails where a page and its rows disagree, and
                                                       names rows that are older than the belief
-    python -m taxeld_training.trials.tables --write   writes the pages' tables anew
+    python -m taxeld_sim.answers.tables --write   writes the pages' tables anew
 
 A block of a page stands between `<!-- figures: NAME | SPEC -->` and `<!-- end -->`;
 `docs/results/NAME.json` has its rows, and `text` says what SPEC is.

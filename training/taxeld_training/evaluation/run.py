@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 
 import torch
 
-from taxeld_hil import jobs
-from taxeld_hil.jobs import Job
-from taxeld_hil.trials.case import Case
-from taxeld_hil.trials.play import play
-from taxeld_training.trials import questions, real, samplers, score, tables
-from taxeld_training.trials.questions import Cell, Question, Selection
-from taxeld_training.trials.score import Played
+from taxeld_sim import jobs
+from taxeld_sim.answers import questions, score, tables
+from taxeld_sim.answers.questions import Cell, Question, Selection
+from taxeld_sim.answers.score import Played
+from taxeld_sim.jobs import Job
+from taxeld_sim.trials.case import Case
+from taxeld_sim.trials.play import play
+from taxeld_training.evaluation import real, samplers
 
 BLOCK = 10  # seeds a job
 
@@ -60,7 +61,8 @@ def answer(names: Sequence[str], asked: Selection, workers: Workers, out: Path) 
         yield str(data)
         yield str(_records(played, workers.memory / f"{question.name}.jsonl"))
         for name in question.charts:
-            from taxeld_training.trials import charts, real_picture  # noqa: PLC0415  (matplotlib)
+            from taxeld_sim.answers import charts  # noqa: PLC0415  (matplotlib)
+            from taxeld_training.evaluation import real_picture  # noqa: PLC0415
 
             draw: Any = real_picture.draw if question.tilts else charts.CHARTS[name]
             draw(asked.data if question.tilts else rows, out / f"{name}.png")

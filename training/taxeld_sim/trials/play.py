@@ -19,12 +19,12 @@ from taxeld.model.symmetry import add_m
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.proposals.samples import Samples
-from taxeld_hil.trials.case import Case
-from taxeld_hil.trials.guides import BeliefGuide
-from taxeld_hil.world.plan import PLANNED, PUSH_M
-from taxeld_hil.world.subjects import model_of
-from taxeld_hil.world.world import World, planned_world
 from taxeld_protocol.decoder import Scan
+from taxeld_sim.trials.case import Case
+from taxeld_sim.trials.guides import BeliefGuide
+from taxeld_sim.world.plan import PLANNED, PUSH_M
+from taxeld_sim.world.subjects import model_of
+from taxeld_sim.world.world import World, planned_world
 
 TICK_S = 0.01  # between two poses
 SCAN_S = 0.05

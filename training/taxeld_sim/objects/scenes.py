@@ -14,7 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.model.symmetry import USUAL_RADIUS_M
-from taxeld_hil.objects import meshes
+from taxeld_sim.objects import meshes
 
 CELL_M = 0.002  # cell of an object of half the usual size or more; halved with each half of that
 GRAIN_M = 2.0**-16  # distances are kept to 15 µm: finer digits are noise and do not compress

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from taxeld.arrays import Floats, Poses
 from taxeld.model import se2
 from taxeld.model.symmetry import add_m
-from taxeld_training.trials import charts, real
+from taxeld_sim.answers import charts
+from taxeld_training.evaluation import real
 
 PART, TILT, SEED, AFTER = "head", 0.2, 0, (1, 3, 12)  # of the trial; touches
 SHOWN, MARGIN_M = 60, 0.06  # particles; width about the places of the arms and of the part

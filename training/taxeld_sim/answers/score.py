@@ -1,6 +1,6 @@
 """What trials come to: one score for all questions, with intervals over seeds.
 
-*Found*, *sure* and *misleading* are as in `taxeld_hil.integrity`. An estimate of another object
+*Found*, *sure* and *misleading* are as in `taxeld_sim.integrity`. An estimate of another object
 than the touched one has no error and is never found.
 """
 
@@ -16,9 +16,9 @@ import numpy as np
 from scipy import stats
 
 from taxeld.arrays import Bools, Floats, Index
-from taxeld_hil.integrity import Claims, is_sure
-from taxeld_hil.trials.play import Touch
-from taxeld_training.trials.questions import Cell, Labels
+from taxeld_sim.answers.questions import Cell, Labels
+from taxeld_sim.integrity import Claims, is_sure
+from taxeld_sim.trials.play import Touch
 
 Row: TypeAlias = dict[str, Any]  # {"of": labels, figure: …, "ci": {figure: interval}}
 

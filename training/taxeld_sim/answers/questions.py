@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
-from taxeld_hil.jobs import layout_name
-from taxeld_hil.objects import meshes
-from taxeld_hil.trials.case import TABLED, Case, Method
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.subjects import Subject
+from taxeld_sim.jobs import layout_name
+from taxeld_sim.objects import meshes
+from taxeld_sim.trials.case import TABLED, Case, Method
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.subjects import Subject
 
 Labels: TypeAlias = Mapping[str, str | tuple[str, ...]]  # by kind; of several values each counts
 

@@ -15,10 +15,10 @@ from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Table, check_contacts
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.manifest import NAME, BuiltFor, Manifest
-from taxeld_hil.objects import HEIGHT_M
-from taxeld_hil.world import solids
-from taxeld_hil.world.mesh_skin import LAYER_M, MARGIN_M
-from taxeld_hil.world.solids import Solid
+from taxeld_sim.objects import HEIGHT_M
+from taxeld_sim.world import solids
+from taxeld_sim.world.mesh_skin import LAYER_M, MARGIN_M
+from taxeld_sim.world.solids import Solid
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _model_of(
     of_bundle = {at.layout.digest for at in built.all_links} if built is not None else set()
     if subject.is_as_built and {each.digest for each in on} <= of_bundle:
         return bundle.load(subject.name, first, further=further).model
-    from taxeld_hil.objects import meshes, scenes  # noqa: PLC0415  (an extra)
+    from taxeld_sim.objects import meshes, scenes  # noqa: PLC0415  (an extra)
 
     mesh = meshes.load(meshes.find(subject.mesh)[0]).apply_scale(subject.scale)
     cuts = scenes.build_all(mesh, [(layout, subject.own_height_m) for layout in on])
@@ -131,7 +131,7 @@ def solid_of(subject: Subject, *specs: str) -> Solid:
 def _solid_of(subject: Subject, specs: tuple[str, ...], _stamps: tuple[int, ...]) -> Solid:
     height_m = max(float(np.abs(layouts.load(spec).position_m[:, 2]).max()) for spec in specs)
     reach_m = height_m + MARGIN_M + LAYER_M
-    from taxeld_hil.objects import meshes  # noqa: PLC0415  (an extra)
+    from taxeld_sim.objects import meshes  # noqa: PLC0415  (an extra)
 
     path, _ = meshes.find(subject.mesh)
     return solids.load(path, subject.own_height_m, reach_m, subject.scale)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from taxeld.arrays import Floats, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld_hil.world.solids import Solid
+from taxeld_sim.world.solids import Solid
 
 LATTICE_M = (0.002, 0.003)  # around and along, of the skin's points beside the electrodes'
 MARGIN_M = 0.008  # width of the simulated skin around the taxels

@@ -16,18 +16,17 @@ from taxeld.arrays import Floats, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
-from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import plan
-from taxeld_hil.world.conditions import Conditions
-from taxeld_hil.world.ground import Ground, gave_way
-from taxeld_hil.world.mesh_skin import MeshSkin
-from taxeld_hil.world.plan import PLANNED, Toucher
-from taxeld_hil.world.robot import RobotPath
-from taxeld_hil.world.skin import Body, SimulatedSkin, exact
-from taxeld_hil.world.solids import Solid
-from taxeld_hil.world.subjects import Subject, model_of, solid_of
 from taxeld_protocol.array import Group
 from taxeld_protocol.modules import NAMES, Module, wired
+from taxeld_sim.world import plan
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.ground import Ground, gave_way
+from taxeld_sim.world.mesh_skin import MeshSkin
+from taxeld_sim.world.plan import PLANNED, Toucher
+from taxeld_sim.world.robot import RobotPath
+from taxeld_sim.world.skin import Body, SimulatedSkin, exact
+from taxeld_sim.world.solids import Solid
+from taxeld_sim.world.subjects import Subject, model_of, solid_of
 
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
 LINK_SEEDS = 1_000_003  # from a link's seed to the next one's
@@ -246,24 +245,6 @@ def planned_world(
     world = World(links, given, seed, solid, kind)
     world.plan(guide, touches)
     return world
-
-
-def world_of(scenario: Scenario, seed: int) -> World:
-    """The world of a scenario. Raises SetupError as `planned_world`."""
-    specs = [scenario.of_link(k).skin_layout for k in range(scenario.links)]
-    subject, given = Subject(scenario.bundle), Conditions.of(scenario)
-    kind = Group if scenario.transport == "array" else Module
-    return planned_world(subject, specs, given, guide_of(scenario), scenario.contacts, seed, kind)
-
-
-def load_model(scenario: Scenario) -> ObservationModel:
-    """The skin and the object of a scenario, as the daemon has them. Raises SetupError."""
-    return model_of(Subject(scenario.bundle), scenario.skin_layout)
-
-
-def guide_of(scenario: Scenario) -> str:
-    """How the robot of a scenario touches."""
-    return "advised" if scenario.advised else "around"
 
 
 def _placed(given: Conditions, rng: np.random.Generator) -> Poses:

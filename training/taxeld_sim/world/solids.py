@@ -85,7 +85,7 @@ def build(path: Path, height_m: float, reach_z_m: float, scale: float = 1.0) -> 
     import shapely  # noqa: PLC0415  (an extra)
     from scipy import ndimage  # noqa: PLC0415
 
-    from taxeld_hil.objects import meshes, scenes  # noqa: PLC0415
+    from taxeld_sim.objects import meshes, scenes  # noqa: PLC0415
 
     mesh = meshes.load(path)
     mesh.apply_scale(scale)

@@ -1,0 +1,1 @@
+"""Questions, and what their trials answer: figures, tables, charts and pages."""

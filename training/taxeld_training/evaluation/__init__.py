@@ -1,0 +1,1 @@
+"""How questions are answered: trials beside samplers that are trained for them."""

@@ -1,1 +1,0 @@
-"""Questions and their answers: trials of the harness, figures, tables, charts and pages."""
