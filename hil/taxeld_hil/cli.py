@@ -7,11 +7,10 @@ import shutil
 import sys
 import tempfile
 import textwrap
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from taxeld import command_line
 from taxeld.command_line import Arguments, Run, flag, given, natural
@@ -22,7 +21,6 @@ from taxeld_sim.world.mesh_config import FOAMS
 
 if TYPE_CHECKING:
     from taxeld_hil.scenario.scenario import Scenario
-    from taxeld_sim.jobs import Job
 
 MATRIX_OBJECTS, MATRIX_FOAMS = ("box", "mug"), ("scene", "typical", "poor")
 SCENARIOS = sorted(path.stem for path in (Path(__file__).parent / "scenarios").glob("*.toml"))
@@ -117,6 +115,7 @@ def _expect(args: argparse.Namespace) -> int:
     taxeld-hil expect --object bracket.stl --layout skin.json --foam poor --robot-mm 2
     """
     from taxeld_hil.experiment import expect
+    from taxeld_sim.answers.played import played
     from taxeld_sim.world.conditions import Conditions
     from taxeld_sim.world.subjects import Subject
 
@@ -126,13 +125,14 @@ def _expect(args: argparse.Namespace) -> int:
     depth_m = None if args.depth_mm is None else 1e-3 * args.depth_mm
     subject = Subject(args.object, height_m=args.height_m, depth_m=depth_m)
     conditions = Conditions(foam=args.foam, robot_m=1e-3 * args.robot_mm, robot_told=True)
-    made = expect.cases(subject, args.layout, conditions, args.touches, jobs.MEMORY / "expect")
+    cells = expect.cells(subject, args.layout, conditions, args.touches, jobs.MEMORY / "expect")
     seeds = expect.QUICK if args.quick else args.seeds
-    todo = expect.jobs(made, seeds)
-    minutes = math.ceil(len(todo) * expect.TRIAL_S / 60.0)
-    _say(f"{len(todo)} trials of {seeds} seeds ({', '.join(made)}): {minutes} minutes of a core")
-    runs = _done(todo, args, expect.described)
-    _say("\n".join(expect.written(made[expect.AS_IS], runs, args.out)))
+    trials, names = len(cells) * seeds, ", ".join(str(each.labels["cell"]) for each in cells)
+    minutes = math.ceil(trials * expect.TRIAL_S / 60.0)
+    _say(f"{trials} trials of {seeds} seeds ({names}): {minutes} minutes of a core")
+    run = partial(jobs.run, memory=jobs.MEMORY, workers=args.workers)
+    done = played(cells, range(seeds), run)
+    _say("\n".join(expect.written(cells[0].case, done, args.out)))
     return 0
 
 
@@ -150,19 +150,13 @@ def _matrix(args: argparse.Namespace) -> int:
     objects, foams = args.object or MATRIX_OBJECTS, args.foam or MATRIX_FOAMS
     layouts = jobs.layouts(args.layout)
     todo = runs.matrix(names, objects, foams, args.seeds, layouts, args.random or 0)
-    rows = _done(todo, args, runs.described)
+    memory, workers = jobs.MEMORY, args.workers
+    done = jobs.run(todo, memory, workers=workers, describe=runs.described)
+    rows = [done[job.name] for job in todo]
     jobs.save(args.out / "scenarios.json", "runs", rows, {})
     passed = sum(row["passed"] for row in rows)
     _say(f"{passed} of {len(rows)} runs passed")
     return 0 if passed == len(rows) else 1
-
-
-def _done(
-    todo: "list[Job]", args: argparse.Namespace, describe: Callable[[Any], str]
-) -> list[dict[str, Any]]:
-    """The results of jobs, in their order."""
-    done = jobs.run(todo, jobs.MEMORY, workers=args.workers, describe=describe)
-    return [done[job.name] for job in todo]
 
 
 def _emulate(args: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +14,11 @@ from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld_hil import cli
 from taxeld_hil.experiment import expect
-from taxeld_hil.experiment.expect import AS_IS, cases
-from taxeld_hil.experiment.runs import RunRow
+from taxeld_hil.experiment.expect import AS_IS
 from taxeld_hil.scenario.staged import world_of
 from taxeld_sim import jobs
+from taxeld_sim.answers.played import BLOCK, Played
+from taxeld_sim.trials.case import Case
 from taxeld_sim.trials.play import Touch
 from taxeld_sim.trials.play import world_of as world_of_case
 from taxeld_sim.world.conditions import Conditions
@@ -30,30 +32,33 @@ pytestmark = pytest.mark.check
 PATCH = "cylinder:rows=2,columns=40,radius_m=0.07,pitch_m=0.015"
 
 
-def trial(seed: int, name: str, *after: tuple[float, float]) -> RunRow:
-    """A trial with these errors [mm] and probabilities."""
-    rest = (1.0,), 0.0, 0.0, "", 100, 0.0, 0.0, 0.0
-    noted = [Touch(0, mm, p, 5.0, *rest)._asdict() for mm, p in after]
-    return {"name": name, "seed": seed, "after": noted}
+def played(name: str, seeds: int, *sure_from: int) -> Played:
+    """Trials that are right and sure from a touch on, in turn, and before in doubt and far off."""
+
+    def touch(number: int, seed: int) -> Touch:
+        is_sure = number >= sure_from[seed % len(sure_from)]
+        error_mm, p = (5.0, 1.0) if is_sure else (20.0, 0.0)
+        return Touch(0, error_mm, p, 5.0, (1.0,), 0.0, 0.0, "", 100, 0.0, 0.0, 0.0)
+
+    trials = [[touch(number, seed) for number in range(6)] for seed in range(seeds)]
+    return Played({"cell": name}, ("box",), 0, tuple(range(seeds)), trials)
 
 
 def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance() -> None:
-    def one(seed: int, name: str, sure_from: int) -> RunRow:
-        after = [(5.0, 1.0) if k >= sure_from else (20.0, 0.0) for k in range(6)]
-        return trial(seed, name, *after)
-
-    def many(name: str, seeds: int, *sure_from: int) -> list[RunRow]:
-        return [one(seed, name, sure_from[seed % len(sure_from)]) for seed in range(seeds)]
-
-    runs = [*many(AS_IS, 10, 3, 9), *many("deeper foam", 10, 5)]
-    runs += [*many("calibration", 10, 1), *many("larger patch", 10, 3, 9)]
-    best, none, worst = expect.helps(runs)
+    own = played(AS_IS, 10, 3, 9)
+    changed = played("deeper foam", 10, 5), played("calibration", 10, 1)
+    best, none, worst = expect.helps([own, *changed, played("larger patch", 10, 3, 9)])
     assert (best.name, best.verdict) == ("calibration", "would help")
     assert (none.name, none.verdict) == ("larger patch", "not shown to help")
     assert (worst.name, worst.verdict) == ("deeper foam", "would hurt")
     assert (best.trials, best.after) == (10, 4), "touches"
     assert best.found == best.found_and_sure == (0.5, 1.0)
-    assert expect.helps(runs[:10] + many("calibration", 7, 1))[0].verdict == "too few seeds to tell"
+    few = expect.helps([played(AS_IS, 7, 3, 9), played("calibration", 7, 1)])
+    assert few[0].verdict == "too few seeds to tell"
+
+
+def cases(*asked: Any) -> dict[str, Case]:
+    return {str(each.labels["cell"]): each.case for each in expect.cells(*asked)}
 
 
 def test_a_robot_errs_alike_throughout_a_touch_and_otherwise_in_the_next() -> None:
@@ -102,11 +107,11 @@ def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
     assert cli.main(command) == 0
     first = capsys.readouterr()
     assert "2 trials" in first.out
-    assert "| 3 | " in first.out
-    assert "calibration" in first.out
+    assert "\n| cell | mm after 1 | mm after 2 | mm after 3 | found and sure 1 | " in first.out
+    assert "\n| as it is | " in first.out
     found = json.loads((tmp_path / "expect.json").read_text(encoding="utf-8"))
-    assert len(found["touches"]["found"]) == 3
-    assert len(found["runs"]) == 8
+    assert [len(row["found"]) for row in found["rows"]] == [3] * 4
+    assert {each["name"] for each in found["helps"]} < {row["of"]["cell"] for row in found["rows"]}
     assert cli.main(command) == 0
     again = capsys.readouterr()
     assert again.out == first.out
@@ -117,13 +122,13 @@ def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
 def test_every_seed_tries_what_would_help_and_what_that_costs_is_said_before(
     more: list[str], seeds: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stop(todo: list[jobs.Job], *_: object, **__: object) -> None:
+    def stop(todo: list[jobs.Job], **_: object) -> None:
         raise SetupError(f"{len(todo)} jobs")
 
     monkeypatch.setattr(jobs, "run", stop)
     assert cli.main(["expect", "--object", "box", "--foam", "scene", *more]) == 2
     printed, jobs_begun = capsys.readouterr()
-    assert jobs_begun == f"{4 * seeds} jobs\n"
+    assert jobs_begun == f"{4 * seeds // BLOCK} jobs\n"
     said = f"{4 * seeds} trials of {seeds} seeds (as it is, calibration, larger patch, deeper foam)"
     assert re.match(rf"{re.escape(said)}: \d+ minutes of a core\n", printed)
 

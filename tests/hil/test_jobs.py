@@ -87,7 +87,8 @@ def test_a_worker_that_dies_and_a_memory_that_cannot_be_written_are_refused_in_o
 
 
 LONG = """
-import os, time
+import os, sys, time
+from pathlib import Path
 from taxeld_sim import jobs
 
 def work(*_):
@@ -95,14 +96,14 @@ def work(*_):
     time.sleep(600)
 
 if __name__ == "__main__":
-    list(jobs.beside(work, None, range(2), 2))
+    jobs.run([jobs.Job(name, work, ()) for name in "ab"], Path(sys.argv[1]))
 """
 
 
 def test_a_killed_command_leaves_no_worker_behind(tmp_path: Path) -> None:
     """Its output ends once no process is left that could write there."""
     (tmp_path / "long.py").write_text(LONG, encoding="ascii")
-    command = [sys.executable, str(tmp_path / "long.py")]
+    command = [sys.executable, str(tmp_path / "long.py"), str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as long:
         try:
             assert long.stdout is not None

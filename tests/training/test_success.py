@@ -6,8 +6,7 @@ keeps those of the code as it is, where a change is meant to lower them, or has 
 """
 
 import json
-from collections.abc import Iterator
-from functools import cache
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,7 @@ from scipy import stats
 from taxeld.arrays import Floats
 from taxeld_sim import jobs
 from taxeld_sim.answers import questions
-from taxeld_sim.integrity import Claims
-from taxeld_sim.trials.case import Case
-from taxeld_sim.trials.play import play
+from taxeld_sim.answers.played import played
 
 KEPT = Path(__file__).with_name("success.json")
 OBJECTS, CELLS = ("003_cracker_box", "025_mug", "035_power_drill"), ("exact", "typical")
@@ -31,25 +28,17 @@ FIGURES = "found", "found_and_sure"
 Row = dict[str, Any]
 
 
-@cache
-def cases() -> list[tuple[str, str, Case]]:
+def all_tried(memory: Path) -> list[Row]:
+    """The trials draw as ever, whatever TAXELD_TEST_SEED is."""
     asked = questions.Selection(objects=OBJECTS, only=CELLS)
     cells = questions.cells(questions.load("works", asked), asked)
-    return [(str(c.labels["object"]), str(c.labels["cell"]), c.case) for c in cells]
-
-
-def tried(_: None, which: tuple[int, int]) -> Row:
-    """A trial in a process of its own, which draws as ever, whatever TAXELD_TEST_SEED is."""
-    number, seed = which
-    thing, cell, case = cases()[number]
-    of = Claims.of_trials([play(case, seed)])
-    reached = {name: getattr(of, name)[0].astype(int).tolist() for name in FIGURES}
-    return {"object": thing, "cell": cell, "seed": seed, **reached}
-
-
-def all_tried() -> Iterator[Row]:
-    of_all = [(number, seed) for number in range(len(cases())) for seed in range(SEEDS)]
-    return jobs.beside(tried, None, of_all, workers=2)
+    done = played(cells, range(SEEDS), partial(jobs.run, memory=memory))
+    return [
+        {"object": of.labels["object"], "cell": of.labels["cell"], "seed": seed}
+        | {name: getattr(of.claims, name)[seed].astype(int).tolist() for name in FIGURES}
+        for of in done
+        for seed in of.seeds
+    ]
 
 
 def of_seeds(rows: list[Row], figure: str) -> Floats:
@@ -82,8 +71,8 @@ def test_the_rule_sees_a_fall_and_no_rise() -> None:
 
 
 @pytest.mark.check
-def test_as_many_objects_are_found_and_found_for_sure_as_were() -> None:
-    rows, before = list(all_tried()), json.loads(KEPT.read_text(encoding="utf-8"))["trials"]
+def test_as_many_objects_are_found_and_found_for_sure_as_were(tmp_path: Path) -> None:
+    rows, before = all_tried(tmp_path), json.loads(KEPT.read_text(encoding="utf-8"))["trials"]
     where = ("object", "cell", "seed")
     assert [[row[k] for k in where] for row in rows] == [[row[k] for k in where] for row in before]
     for figure in FIGURES:
@@ -92,4 +81,4 @@ def test_as_many_objects_are_found_and_found_for_sure_as_were() -> None:
 
 
 if __name__ == "__main__":
-    jobs.save(KEPT, "trials", list(all_tried()), {})
+    jobs.save(KEPT, "trials", all_tried(jobs.MEMORY), {})

@@ -13,7 +13,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib import resources
@@ -27,7 +27,6 @@ from taxeld.errors import SetupError
 MEMORY = Path(".experiments")  # finished jobs; what was interrupted goes on from them
 OWN = "own"  # `--layout` of what a row is of without that option
 PATIENCE = "10s"  # longest wait for a Dask scheduler's answer
-_GIVEN: list[Any] = []  # in a worker: what it was given when it began
 NAME_LENGTH = 60  # characters of a job's name in its file's name; a key's hash tells jobs apart
 
 
@@ -102,12 +101,14 @@ def run(
     *,
     workers: int | str = 2,
     describe: Callable[[Any], str] = lambda _: "",
+    tell: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """Results by job name; those that `memory`, a directory, holds are not run again.
 
     `workers`: how many, of one thread each, or the address of a running Dask scheduler, whose
     workers the jobs run on. `describe` writes a result for the line on stderr that follows each
-    job. On an interrupt the results so far are kept and the interrupt goes on.
+    job; or else `tell` is told the share of the jobs that is done. On an interrupt the results so
+    far are kept and the interrupt goes on.
 
     Raises:
         SetupError: no such scheduler answers, `memory` cannot be written, or a worker died.
@@ -124,6 +125,9 @@ def run(
     for done, (job, result) in enumerate(_results(todo, workers), 1):
         results[job.name] = result
         _write(job, memory, result)
+        if tell is not None:
+            tell(done / len(todo))
+            continue
         spent_s = time.monotonic() - began_s
         left_s = spent_s * (len(todo) - done) / done
         taken = f"{done} of {len(todo)}, {spent_s:.0f} s, {left_s:.0f} s left"
@@ -137,8 +141,7 @@ def _results(todo: Sequence[Job], workers: int | str) -> Iterator[tuple[Job, Any
     if not todo or count == 1:
         yield from ((job, _work(job)) for job in todo)
         return
-    cure = ": try again with --workers 1; finished jobs are kept"
-    pools = _on_dask(workers) if isinstance(workers, str) else _processes(count, None, cure)
+    pools = _on_dask(workers) if isinstance(workers, str) else _processes(count)
     with pools as pool:
         futures = {pool.submit(_work, job): job for job in todo}
         yield from ((futures[future], future.result()) for future in as_completed(futures))
@@ -192,39 +195,25 @@ def _writing(memory: Path) -> Iterator[None]:
         ) from None
 
 
-def beside(
-    work: Callable[[Any, Any], Any], given: Any, items: Iterable[Any], workers: int
-) -> Iterator[Any]:
-    """`work(given, item)` of each item in its order, by so many processes, to each of which `given`
-    travels once; by this one alone if it is one.
-
-    Raises:
-        SetupError: a worker died.
-    """
-    if workers == 1:
-        yield from (work(given, item) for item in items)
-        return
-    with _processes(workers, given) as pool:
-        yield from pool.map(functools.partial(_with_given, work), items)
-
-
 @contextlib.contextmanager
-def _processes(workers: int, given: Any, cure: str = "") -> Iterator[Executor]:
+def _processes(workers: int) -> Iterator[Executor]:
     """Processes of one thread each that end when this one does, however it ends."""
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")  # inherited by the workers
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin, (given,))
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin)
     try:
         yield pool
     except BrokenExecutor:
-        raise SetupError(f"a worker process died, perhaps for want of memory{cure}") from None
+        raise SetupError(
+            "a worker process died, perhaps for want of memory: try again with --workers 1; "
+            "finished jobs are kept"
+        ) from None
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _begin(given: Any) -> None:
+def _begin() -> None:
     """Begin a worker. It would wait for work for ever if its parent were killed."""
-    _GIVEN.append(given)
 
     def end() -> None:
         parent = parent_process()
@@ -233,10 +222,6 @@ def _begin(given: Any) -> None:
         os._exit(1)
 
     threading.Thread(target=end, daemon=True).start()
-
-
-def _with_given(work: Callable[[Any, Any], Any], item: Any) -> Any:
-    return work(_GIVEN[-1], item)
 
 
 @contextlib.contextmanager

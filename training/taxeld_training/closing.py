@@ -5,6 +5,7 @@ not, and may *mislead*. Filters of several sizes with the table, and one with th
 sampler, meet the same touches. The bundle says which of them is enough, and the daemon runs that.
 """
 
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -18,10 +19,11 @@ from taxeld.config import tables
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 from taxeld_sim import jobs
+from taxeld_sim.answers.played import Played, played
+from taxeld_sim.answers.questions import Cell
 from taxeld_sim.answers.score import by_seeds
 from taxeld_sim.integrity import Claims
 from taxeld_sim.trials.case import TABLED, Case, Method
-from taxeld_sim.trials.play import Touch, play
 from taxeld_sim.world.conditions import Conditions
 from taxeld_sim.world.subjects import Subject
 from taxeld_training.progress import Tell
@@ -35,7 +37,6 @@ MARGIN = 0.01  # share of the touches by which a filter that is as good may fall
 MISLED = 10.0  # touches found and sure that one misleading takes away
 PARTED = 0.99  # probability of the touched object, were there but one other, that parts the two
 ALIKE = 0.5  # share of trials that leave two objects together, from which they are alike
-BLOCK = 5  # trials after which a worker tells of its progress
 WORKERS = 2
 
 
@@ -60,9 +61,10 @@ def counted(folder: Path, layout: str, foam: str, trials: int, tell: Tell) -> di
     filter that is enough. All meet the same touches."""
     manifest = bundle.load(str(folder), layouts.load(layout)).manifest
     filters = tried(manifest.samplers[0].name, trials)
-    of = [(method, 0) for method in filters.values()]
-    done = played([folder], layout, foam, of, trials, partial(tell, STAGE))
-    told = dict(zip(filters, map(Claims.of_trials, done), strict=True))
+    case = case_of([folder], layout, foam)
+    cells = [cell(name, replace(case, method=each)) for name, each in filters.items()]
+    done = run(cells, trials, partial(tell, STAGE))
+    told = {str(each.labels["cell"]): each.claims for each in done}
     return chosen(filters, told, manifest.auto) | {
         "touches": {
             "foam": foam,
@@ -80,16 +82,34 @@ def pairs(
     touched in turn, and a filter that knows them all, with the table, says which one it is. What
     the trials do not part is alike: whoever runs these bundles together cannot expect to be told
     which of them it is."""
-    of = [(TABLED, true) for true in range(len(folders))]
-    done = played(folders, layout, foam, of, trials, partial(tell, PAIRS))
-    names, found = [folder.name for folder in folders], []
-    for true, runs in enumerate(done):
-        objects = np.array([[touch.objects for touch in run] for run in runs])
-        others = [k for k in range(len(names)) if k != true]
+    case, names = case_of(folders, layout, foam), [folder.name for folder in folders]
+    cells = [cell(one.name, replace(case, touched=one)) for one in case.known]
+    found = []
+    for each in run(cells, trials, partial(tell, PAIRS)):
+        objects = np.array([[touch.objects for touch in trial] for trial in each.trials])
         found += [
-            {"object": names[true], "other": names[k], **parting(objects, true, k)} for k in others
+            {"object": names[each.true], "other": name, **parting(objects, each.true, k)}
+            for k, name in enumerate(names)
+            if k != each.true
         ]
     return {"foam": foam, "trials": trials, "touches": TOUCHES, "pairs": found}
+
+
+def case_of(folders: Sequence[Path], layout: str, foam: str) -> Case:
+    """Trials of a filter that knows the objects of all bundles."""
+    known = tuple(Subject(str(folder)) for folder in folders)
+    return Case(known, None, (layout,), FOAMS[foam], touches=TOUCHES)
+
+
+def cell(name: str, case: Case) -> Cell:
+    return Cell({"cell": name, "object": case.subject.name}, case)
+
+
+def run(cells: Sequence[Cell], trials: int, progress: Callable[[float], None]) -> list[Played]:
+    """So many trials of each cell, kept nowhere."""
+    with tempfile.TemporaryDirectory() as memory:
+        on = partial(jobs.run, memory=Path(memory), workers=WORKERS, tell=progress)
+        return played(cells, range(trials), on)
 
 
 def parting(objects: Floats, true: int, other: int) -> dict[str, Any]:
@@ -152,30 +172,3 @@ def chosen(
         "auto": [own.proposal, *(name for name in order if name != own.proposal)],
         "filter": {key: getattr(own, key) for key in tables.SIZES},
     }
-
-
-def played(
-    folders: Sequence[Path],
-    layout: str,
-    foam: str,
-    of: Sequence[tuple[Method, int]],
-    trials: int,
-    progress: Callable[[float], None],
-) -> list[list[list[Touch]]]:
-    """So many trials of each filter that knows the objects of all bundles, where the object with
-    the given number is touched: the results of each touch."""
-    blocks = [range(trials)[first : first + BLOCK] for first in range(0, trials, BLOCK)]
-    todo = [(*one, block) for one in of for block in blocks]
-    found: list[list[list[Touch]]] = [[] for _ in of]
-    known = tuple(Subject(str(folder)) for folder in folders)
-    case = Case(known, None, (layout,), FOAMS[foam], touches=TOUCHES)
-    for number, some in enumerate(jobs.beside(_block, case, todo, WORKERS)):
-        found[number // len(blocks)] += some
-        progress((number + 1) / len(todo))
-    return found
-
-
-def _block(case: Case, one: tuple[Method, int, range]) -> list[list[Touch]]:
-    method, true, seeds = one
-    own = replace(case, method=method, touched=case.known[true])
-    return [play(own, seed) for seed in seeds]

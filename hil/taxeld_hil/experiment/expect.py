@@ -19,14 +19,14 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.layout.read import COLUMNS
-from taxeld_hil.experiment.runs import RunRow
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_protocol.modules import MAX_MODULES
-from taxeld_sim.integrity import FOUND_MM, Claims
-from taxeld_sim.jobs import Job, save
+from taxeld_sim.answers import score, tables
+from taxeld_sim.answers.played import Played
+from taxeld_sim.answers.questions import Cell
+from taxeld_sim.jobs import save
 from taxeld_sim.objects import meshes
 from taxeld_sim.trials.case import DEFAULT_LAYOUT, Case
-from taxeld_sim.trials.play import Touch, play
 from taxeld_sim.world.conditions import Conditions
 from taxeld_sim.world.subjects import Subject, model_of, solid_of
 
@@ -38,6 +38,7 @@ BELOW_M = 0.005  # under the lowest taxel: a skin is wider than its taxels
 HALF = 0.5  # share of trials that are sure, at which what would help is compared
 QUICK, LEAST = 10, 8  # seeds of --quick, and of which something is said
 TRIAL_S = 2.5  # of a core of 2 GHz, for eight touches on foam
+SHOWN = 1, 2, 3, 4, 6, 8, 12, 16, 24, 32  # touches of the table, and the last one
 CHANCE = 2.0  # standard errors that chance alone may make
 
 
@@ -52,11 +53,9 @@ class Help(NamedTuple):
     verdict: str  # by the trials that are found and sure, against chance
 
 
-def cases(
-    asked: Subject, layout: str, given: Conditions, touches: int, place: Path
-) -> dict[str, Case]:
-    """The case as it is, and what would change it, by name. Layouts that are made
-    for them are kept in `place`.
+def cells(asked: Subject, layout: str, given: Conditions, touches: int, place: Path) -> list[Cell]:
+    """The trials as it is, and with what would change them. Layouts that are made for these are
+    kept in `place`.
 
     Raises:
         SetupError: there is no such object or layout, or one does not go with the other.
@@ -78,50 +77,25 @@ def cases(
     if DEEPER * subject.own_depth_m <= DEPTHS_M[1]:
         deeper = replace(subject, depth_m=DEEPER * subject.own_depth_m)
         made["deeper foam"] = replace(own, known=(deeper,))
-    return made
-
-
-def jobs(made: dict[str, Case], seeds: int) -> list[Job]:
-    """A job for each trial, seed by seed, so that a part of them is as fair as all."""
     for case in made.values():  # built here once, before several workers need it
         model_of(case.subject, *case.specs)
-        if not case.conditions.is_exact:
+        if not given.is_exact:
             solid_of(case.subject, *case.specs)
-    code = {name: case.digest for name, case in made.items()}
-    return [
-        Job(f"{name}, seed {seed}", row, (name, case, seed), code=code[name])
-        for seed in range(seeds)
-        for name, case in made.items()
-    ]
+    labels = {"object": subject.name, "knows": "one"}
+    return [Cell({"cell": name, **labels}, case) for name, case in made.items()]
 
 
-def row(name: str, case: Case, seed: int) -> RunRow:
-    """One trial, as JSON has it."""
-    return {"name": name, "seed": seed, "after": [each._asdict() for each in play(case, seed)]}
-
-
-def claims(runs: Sequence[RunRow]) -> Claims:
-    """The estimates of N trials after T touches each (N, T)."""
-    return Claims.of_trials([[Touch(**each) for each in run["after"]] for run in runs])
-
-
-def described(run: RunRow) -> str:
-    """A trial's errors in short."""
-    errors = ", ".join(f"{noted['error_mm']:.1f}" for noted in run["after"])
-    return f"{errors} mm{', found and sure' * bool(claims([run]).found_and_sure[0, -1])}"
-
-
-def helps(runs: Sequence[RunRow]) -> list[Help]:
-    """What each change does, by trials of the same seeds, most helpful first. Shares are those
-    after the first touch after which half of the trials are sure without it, or the last."""
-    base = {run["seed"]: run for run in runs if run["name"] == AS_IS}
-    told = claims([*base.values()]).by_touch()["found_and_sure"]
-    after = next((k for k, sure in enumerate(told, 1) if sure >= HALF * len(base)), len(told))
+def helps(done: Sequence[Played]) -> list[Help]:
+    """What each change does, by trials of the same seeds, most helpful first; those without it come
+    first. Shares are those after the first touch after which half of the trials are sure without
+    it, or the last."""
+    own = done[0].claims
+    sure = own.found_and_sure.mean(axis=0)
+    after = int(np.argmax(sure >= HALF)) if sure.max() >= HALF else len(sure) - 1
     found = []
-    for name in dict.fromkeys(run["name"] for run in runs if run["name"] != AS_IS):
-        mine = [run for run in runs if run["name"] == name and run["seed"] in base]
-        pair = claims([base[run["seed"]] for run in mine]), claims(mine)
-        was, became = ((of.found[:, after - 1], of.found_and_sure[:, after - 1]) for of in pair)
+    for each in done[1:]:
+        pair = own, each.claims
+        was, became = ((of.found[:, after], of.found_and_sure[:, after]) for of in pair)
         gain = became[1].astype(float) - was[1]
         least = CHANCE * math.sqrt((gain.var() + 1.0 / len(gain)) / len(gain))
         verdict = "not shown to help"
@@ -130,37 +104,32 @@ def helps(runs: Sequence[RunRow]) -> list[Help]:
         elif abs(gain.mean()) > least:
             verdict = "would help" if gain.mean() > 0.0 else "would hurt"
         shares = [(float(a.mean()), float(b.mean())) for a, b in zip(was, became, strict=True)]
-        found.append(Help(name, len(mine), after, shares[0], shares[1], verdict))
+        name = str(each.labels["cell"])
+        found.append(Help(name, len(gain), after + 1, shares[0], shares[1], verdict))
     return sorted(found, key=lambda each: each.found_and_sure[0] - each.found_and_sure[1])
 
 
-def written(own: Case, runs: Sequence[RunRow], out: Path) -> Iterator[str]:
+def written(own: Case, done: Sequence[Played], out: Path) -> Iterator[str]:
     """The lines that are printed, with a Markdown table and a line on each change, once
     `expect.json` is written into the directory `out`.
 
     Raises:
         SetupError: the directory cannot be written.
     """
-    trials = [run for run in runs if run["name"] == AS_IS]
-    model, given = model_of(own.subject, *own.specs), own.conditions
-    told, changes = claims(trials).by_touch(), helps(runs)
+    model, given, changes = model_of(own.subject, *own.specs), own.conditions, helps(done)
     asked = own.subject.name, own.specs[0], given.foam, given.robot_m, model.depth_max_m
     asked_by = dict(zip(("object", "layout", "foam", "robot_m", "depth_m"), asked, strict=True))
-    about = {"asked": asked_by, "touches": told, "helps": [each._asdict() for each in changes]}
-    save(out / "expect.json", "runs", runs, about)
+    rows = score.rows(done, [["cell"]])
+    about = {"asked": asked_by, "helps": [each._asdict() for each in changes]}
+    path = save(out / "expect.json", "rows", rows, about)
     yield (
         f"{own.subject.name} on {model.layout.name}, {len(model.layout)} taxels, foam {given.foam} "
-        f"of {1e3 * model.depth_max_m:g} mm, robot {1e3 * given.robot_m:g} mm: {len(trials)} trials"
+        f"of {1e3 * model.depth_max_m:g} mm, robot {1e3 * given.robot_m:g} mm: "
+        f"{len(done[0].trials)} trials"
     )
     yield ""
-    head = ["touches", "median mm", "90 % mm", f"found (< {FOUND_MM:.0f} mm)", "found and sure"]
-    yield "| " + " | ".join([*head, "misleading"]) + " |"
-    yield "|---" * (len(head) + 1) + "|"
-    keys = "median_mm", "q90_mm", "found", "found_and_sure", "misleading_at"
-    columns = (told[key] for key in keys)
-    for touch, (median, q90, *counts) in enumerate(zip(*columns, strict=True), 1):
-        shares = [f"{count / len(trials):.0%}" for count in counts]
-        yield "| " + " | ".join([str(touch), f"{median:.1f}", f"{q90:.1f}", *shares]) + " |"
+    shown = " ".join(str(n) for n in range(1, own.touches + 1) if n in SHOWN or n == own.touches)
+    yield tables.text(rows, f"cell | mm {shown} | found_and_sure {shown} | misleading")
     yield ""
     for each in changes:
         found, sure = (
@@ -170,7 +139,7 @@ def written(own: Case, runs: Sequence[RunRow], out: Path) -> Iterator[str]:
             f"{each.verdict}: {each.name} {found} found, {sure} found and sure after {each.after} "
             f"({each.trials} seeds)"
         )
-    yield str(out / "expect.json")
+    yield str(path)
 
 
 def _placed(asked: Subject, layout: str) -> tuple[Subject, str]:

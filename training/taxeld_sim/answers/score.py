@@ -6,8 +6,7 @@ than the touched one has no error and is never found.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from itertools import product
 from typing import Any, TypeAlias
@@ -16,9 +15,8 @@ import numpy as np
 from scipy import stats
 
 from taxeld.arrays import Bools, Floats, Index
-from taxeld_sim.answers.questions import Cell, Labels
+from taxeld_sim.answers.played import Played, without_nan
 from taxeld_sim.integrity import Claims, is_sure
-from taxeld_sim.trials.play import Touch
 
 Row: TypeAlias = dict[str, Any]  # {"of": labels, figure: …, "ci": {figure: interval}}
 
@@ -26,43 +24,6 @@ LEVEL = 0.95  # of intervals
 DRAWS, WEIGHINGS = 400, 4000  # of seeds, for an interval of a figure, and of a share
 BINS = 10  # of p
 QUIET = 0.1  # share of the quickest seconds that tell what a quiet machine takes
-COLUMNS = {name: k for k, name in enumerate(Touch._fields) if name not in ("objects", "status")}
-
-
-@dataclass(frozen=True)
-class Played:
-    """The trials of a cell."""
-
-    labels: Labels
-    known: tuple[str, ...]
-    true: int  # number of the touched object; -1: the filter does not know it
-    seeds: tuple[int, ...]
-    trials: list[list[Touch]]
-
-    @classmethod
-    def of(cls, cell: Cell, seeds: Sequence[int], trials: Sequence[Sequence[Any]]) -> "Played":
-        """Of trials as jobs have them."""
-        known, touched = cell.case.known, cell.case.touched
-        true = 0 if touched is None else known.index(touched) if touched in known else -1
-        names = tuple(each.name for each in known)
-        return cls(cell.labels, names, true, tuple(seeds), touches_of(trials))
-
-    def records(self) -> Iterator[Row]:
-        """A row a touch, for JSON lines."""
-        for seed, trial in zip(self.seeds, self.trials, strict=True):
-            for number, touch in enumerate(trial, 1):
-                own = {"known": self.known, "seed": seed, "touch": number}
-                yield dict(without_nan({**self.labels, **own, **touch._asdict()}))
-
-    def column(self, name: str) -> Floats:
-        """(N, T) of a field of the touches."""
-        at = COLUMNS[name]
-        return np.array([[touch[at] for touch in trial] for trial in self.trials], dtype=float)
-
-
-def touches_of(trials: Sequence[Sequence[Any]]) -> list[list[Touch]]:
-    """Trials as jobs have them."""
-    return [[Touch._make(math.nan if v is None else v for v in row) for row in t] for t in trials]
 
 
 def rows(played: Sequence[Played], by: Sequence[Sequence[str]]) -> list[Row]:
@@ -256,12 +217,3 @@ def _place(each: Played) -> str:
 
 def _all(group: Sequence[Played], name: str) -> Floats:
     return np.concatenate([each.column(name) for each in group])
-
-
-def without_nan(value: Any) -> Any:
-    """Figures as JSON holds them."""
-    if isinstance(value, dict):
-        return {key: without_nan(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(each) for each in value]
-    return None if isinstance(value, float) and math.isnan(value) else value

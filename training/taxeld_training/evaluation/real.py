@@ -37,8 +37,8 @@ from taxeld.model.symmetry import add_m
 from taxeld.prior import PosePrior
 from taxeld.proposals.analytic import Table
 from taxeld_sim import jobs
+from taxeld_sim.answers.played import Played, touches_of, without_nan
 from taxeld_sim.answers.questions import Question, Selection
-from taxeld_sim.answers.score import Played, touches_of, without_nan
 from taxeld_sim.jobs import Job
 from taxeld_sim.objects import scenes
 from taxeld_sim.trials.case import OWN_SEEDS, code

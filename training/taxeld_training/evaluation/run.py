@@ -7,9 +7,7 @@ on where it stopped, and one with more seeds adds to those that there are.
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from datetime import date
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,11 +15,9 @@ import torch
 
 from taxeld_sim import jobs
 from taxeld_sim.answers import questions, score, tables
+from taxeld_sim.answers.played import Played, played
 from taxeld_sim.answers.questions import Cell, Question, Selection
-from taxeld_sim.answers.score import Played
 from taxeld_sim.jobs import Job
-from taxeld_sim.trials.case import Case
-from taxeld_sim.trials.play import play
 from taxeld_training.evaluation import real, samplers
 
 BLOCK = 10  # seeds a job
@@ -49,17 +45,17 @@ def answer(names: Sequence[str], asked: Selection, workers: Workers, out: Path) 
     chosen = [questions.cells(each, asked) if each.cells else [] for each in todo]
     for question, cells in zip(todo, chosen, strict=True):
         if question.tilts:
-            played = real.run(question, asked, workers.run)
+            done = real.run(question, asked, workers.run)
         else:
-            played = run(question, cells, asked, workers)
-        rows = score.rows(played, question.by)
+            done = run(question, cells, asked, workers)
+        rows = score.rows(done, question.by)
         rows += samplers.rows(question, workers.memory, workers.run)
         given = {"question": question.says, **_made(question.name)}
         data = jobs.save(out / f"{question.name}.json", "rows", rows, given)
         yield f"{question.name}: {question.says}"
         yield from (tables.text(rows, spec) + "\n" for spec in question.tables)
         yield str(data)
-        yield str(_records(played, workers.memory / f"{question.name}.jsonl"))
+        yield str(_records(done, workers.memory / f"{question.name}.jsonl"))
         for name in question.charts:
             from taxeld_sim.answers import charts  # noqa: PLC0415  (matplotlib)
             from taxeld_training.evaluation import real_picture  # noqa: PLC0415
@@ -72,31 +68,11 @@ def answer(names: Sequence[str], asked: Selection, workers: Workers, out: Path) 
 def run(
     question: Question, cells: Sequence[Cell], asked: Selection, workers: Workers
 ) -> list[Played]:
-    """The trials of cells. Each has its first block of seeds before any has its second."""
-    seeds = asked.seeds or tuple(range(question.seeds))
+    """The trials of cells, with samplers that are trained for them."""
     each = (one for cell in cells for one in samplers.wanted(cell.case))
     files = samplers.files(each, question.effort, workers.memory, workers.run)
-    todo = [list[Job]() for _ in cells]
-    for cell, mine in zip(cells, todo, strict=True):
-        case = cell.case
-        beside = tuple(files.get(one, "") for one in samplers.wanted(case))
-        for first in range(0, len(seeds), BLOCK):
-            block = seeds[first : first + BLOCK]
-            name = f"{cell.labels['object']} by {case.method.proposal} {case.digest}-{block[0]}"
-            mine.append(Job(name, trials, (case, block), (beside,), case.digest))
-    in_turn = [job for block in zip_longest(*todo) for job in block if job]
-    done = workers.run(list({job.name: job for job in in_turn}.values()))
-    return [
-        Played.of(cell, seeds, [trial for job in mine for trial in done[job.name]])
-        for cell, mine in zip(cells, todo, strict=True)
-    ]
-
-
-def trials(case: Case, seeds: Sequence[int], files: Sequence[str]) -> list[list[list[Any]]]:
-    """A job: of each seed the fields of each touch; `files` have the samplers of known objects."""
-    known = [replace(one, sampler=file) for one, file in zip(case.known, files, strict=True)]
-    case = replace(case, known=tuple(known))
-    return [[score.without_nan(list(touch)) for touch in play(case, seed)] for seed in seeds]
+    of_cells = [[files.get(one, "") for one in samplers.wanted(cell.case)] for cell in cells]
+    return played(cells, asked.seeds or range(question.seeds), workers.run, of_cells)
 
 
 def _records(played: Sequence[Played], path: Path) -> Path:
