@@ -21,7 +21,7 @@ from tests.rig.examples import examples
 
 from ..rig.clocks import PATIENCE_S, Clock
 from ..rig.processes import free_port
-from .stand import INFO, Stand, another_user, needs_root, open_to_all
+from .stand import INFO, Stand, needs_root, open_to_all
 
 
 @pytest.fixture
@@ -67,14 +67,11 @@ def test_what_cannot_be_done_is_answered_in_a_line_and_a_prior_is_checked(stand:
 @pytest.mark.check
 def test_a_loop_that_does_not_answer_is_said_to_the_client(stand: Stand) -> None:
     stand.until(lambda: stand.sent > 2)
-    asking = stand.socket(zmq.REQ, stand.control)
-    asking.send(msgpack.packb({"cmd": "tare"}))
-    assert asking.poll(1000 * PATIENCE_S)
-    assert msgpack.unpackb(asking.recv())["error"].startswith("the loop does not answer")
-    status = stand.socket(zmq.REQ, stand.control)
-    status.send(msgpack.packb({"cmd": "status"}))
-    assert status.poll(1000 * PATIENCE_S)
-    assert msgpack.unpackb(status.recv())["error"].startswith("the loop is silent")
+    for command, error in (("tare", "the loop does not answer"), ("status", "the loop is silent")):
+        asking = stand.socket(zmq.REQ, stand.control)
+        asking.send(msgpack.packb({"cmd": command}))
+        assert asking.poll(1000 * PATIENCE_S)
+        assert msgpack.unpackb(asking.recv())["error"].startswith(error)
 
 
 def test_a_door_that_was_slow_does_not_say_that_the_loop_is_silent(
@@ -89,15 +86,6 @@ def test_a_door_that_was_slow_does_not_say_that_the_loop_is_silent(
             clock.now += 10.0
             assert msgpack.unpackb(door._on_status()).get("error", "") == silent
         door.close()
-
-
-def ask(endpoint: str, command: str, into: Path) -> None:
-    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.connect(endpoint)
-        socket.send(msgpack.packb({"cmd": command}))
-        if socket.poll(20_000):
-            into.write_bytes(socket.recv())
 
 
 DAEMON = grp.getgrgid(1).gr_name
@@ -116,19 +104,11 @@ DAEMON = grp.getgrgid(1).gr_name
 def test_only_members_of_the_group_change_anything(
     tmp_path: Path, group: str, groups: list[int], refusal: str
 ) -> None:
-    (tmp_path / "answers").mkdir()
-    (tmp_path / "answers").chmod(0o777)
     with Stand(tmp_path, change_group=group) as stand:
         open_to_all(tmp_path)
-        answers = {}
-        for command in ("status", "tare"):
-            made = tmp_path / "answers" / command
-            with another_user(lambda: ask(stand.control, command, made), groups):  # noqa: B023
-                stand.until(lambda: made.exists() and made.stat().st_size)  # noqa: B023
-            answers[command] = msgpack.unpackb(made.read_bytes())
-    assert answers["status"]["ok"]
-    assert answers["tare"]["ok"] is not bool(refusal)
-    assert answers["tare"].get("error", "tare: ").startswith(f"tare: {refusal}")
+        status, tare = (stand.asked_by_another(command, groups) for command in ("status", "tare"))
+    assert (status["ok"], tare["ok"]) == (True, not refusal)
+    assert tare.get("error", "tare: ").startswith(f"tare: {refusal}")
     assert stand.done == ["tare"] * (not refusal)
 
 
@@ -170,20 +150,12 @@ def test_no_request_ends_the_answers(envelope: list[bytes], body: bytes) -> None
         made.socket.close()
 
 
-class Late:
-    """A frame whose connection was closed, and whose descriptor is another connection's now."""
-
-    def __init__(self, number: int) -> None:
-        self._number = number
-
-    def get(self, name: object) -> object:
-        return self._number if name == zmq.SRCFD else "localhost:65534:65534:1"
-
-
 def test_nobody_may_change_anything_by_the_descriptor_of_another_connection() -> None:
+    """As a frame has it whose own connection was closed."""
     own, peer = kernel.socketpair()
     with own, peer:
-        assert for_members("")(Late(own.fileno())).startswith("is for the daemon's own user")  # type: ignore[arg-type]
+        late = {zmq.SRCFD: own.fileno(), "Peer-Address": "localhost:65534:65534:1"}
+        assert for_members("")(late).startswith("is for the daemon's own user")  # type: ignore[arg-type]
 
 
 def test_over_tcp_nothing_is_changed_unless_that_is_configured(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -38,30 +37,6 @@ def test_a_killed_door_is_back_and_subscribers_come_back_by_themselves(
         assert [keeper.starts for keeper in stand.keepers] == [3, 2]
         assert stand.answer({"cmd": "info"})["info"] == INFO
     assert "door: ended: Killed; it is started again" in caplog.messages
-
-
-def test_a_door_ends_with_its_loop(tmp_path: Path) -> None:
-    code = (
-        "import sys, time\nfrom pathlib import Path\nsys.path.insert(0, sys.argv[2])\n"
-        "from tests.door.stand import Stand\nstand = Stand(Path(sys.argv[1]))\n"
-        "print(stand.pid, flush=True)\ntime.sleep(60)"
-    )
-    root = str(Path(__file__).parents[2])
-    with subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path), root], stdout=subprocess.PIPE, text=True
-    ) as loop:
-        assert loop.stdout is not None
-        door = int(loop.stdout.readline())
-        loop.kill()
-        loop.wait()
-        until(lambda: "taxeld.door" not in cmdline(door))
-
-
-def cmdline(pid: int) -> str:
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8")
-    except OSError:
-        return ""
 
 
 def test_signals_of_a_terminal_or_a_service_that_stops_leave_the_door_to_its_loop(
@@ -162,7 +137,7 @@ def test_each_limit_of_the_door_is_set_in_the_kernel_which_ends_it_first(tmp_pat
         assert stand.relay.starts == 0  # nobody is served over TCP
 
 
-def test_a_door_that_is_let_go_is_not_started_again(
+def test_a_door_ends_when_the_loop_has_let_it_go_or_is_gone_and_is_not_started_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with Stand(tmp_path) as stand:

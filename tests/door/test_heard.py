@@ -50,12 +50,7 @@ class Publisher:
     def until_heard(self, number: float, *frames: bytes) -> None:
         """`frames` are sent until they come, by default an ordinary message of that number."""
         ordinary = pose(number) if self._kind == "robot" else [b"/skin/a", packed(number), b"1.0"]
-
-        def comes() -> bool:
-            self.socket.send_multipart(frames or ordinary)
-            return number in self.numbers
-
-        self.stand.until(comes)
+        self.stand.send_until(lambda: number in self.numbers, self.socket, *(frames or ordinary))
 
 
 def packed(number: float) -> bytes:
@@ -221,16 +216,11 @@ def sent(body: object = None, **changes: object) -> list[bytes]:
         (sent(theta=-math.inf), "theta is not finite: leave such a pose out"),
         (sent(theta=90.0), "theta is beyond 1.5 turns: send radians from -pi to pi, not"),
         (sent(theta=-9.43), "theta is beyond 1.5 turns: send radians"),
+        (sent(theta=9.42), "(1.0, 0.0, 0.0, 9.42)"),
     ],
 )
 def test_a_message_that_is_no_pose_has_a_reason_of_its_own(parts: list[bytes], reason: str) -> None:
-    said = as_pose(parts)
-    assert isinstance(said, str)
-    assert said.startswith(reason)
-
-
-def test_an_angle_of_a_turn_and_a_half_is_an_angle_in_radians() -> None:
-    assert as_pose(sent(theta=9.42)) == (1.0, 0.0, 0.0, 9.42)
+    assert str(as_pose(parts)).startswith(reason)
 
 
 @pytest.mark.check
@@ -239,13 +229,10 @@ def test_a_robot_that_once_sent_degrees_is_not_heard_at_small_angles_until_it_co
     publisher: Publisher,
 ) -> None:
     def is_refused(**changes: object) -> None:
-        before = publisher.line.malformed
-
-        def comes() -> bool:
-            publisher.socket.send_multipart(sent(**changes))
-            return bool(publisher.line.malformed > before + 20)
-
-        publisher.stand.until(comes)
+        enough = publisher.line.malformed + 20
+        publisher.stand.send_until(
+            lambda: publisher.line.malformed > enough, publisher.socket, *sent(**changes)
+        )
 
     is_refused(theta=90.0)
     is_refused(x=5.0, theta=1.0)
@@ -261,11 +248,8 @@ def test_a_robot_that_once_sent_degrees_is_not_heard_at_small_angles_until_it_co
 def test_the_loop_hears_why_a_message_is_no_pose_in_a_line(
     publisher: Publisher,
 ) -> None:
-    def hears() -> str:
-        publisher.socket.send_multipart(sent({"\x1b]0;x\n" * 30: 1.0}))
-        return str(publisher.line.reason)
-
-    publisher.stand.until(hears)
+    message = sent({"\x1b]0;x\n" * 30: 1.0})
+    publisher.stand.send_until(lambda: publisher.line.reason, publisher.socket, *message)
     assert publisher.line.malformed > 0
     assert publisher.line.reason.startswith("key t lacks; the map has \\x1b]0;x\\n")
     assert publisher.line.reason.isprintable()

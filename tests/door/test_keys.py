@@ -129,19 +129,9 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
             return made
 
         with robot(1.0, pair(tmp_path / "fake", "fake")[1]) as false:
-
-            def refused() -> bool:
-                false.send_multipart(pose(1.0))
-                return keyed.link.report.robot.refused
-
-            keyed.until(refused)
+            keyed.send_until(lambda: keyed.link.report.robot.refused, false, *pose(1.0))
         true = robot(2.0, curve.secret_key(tmp_path / "robot/robot.key_secret")[1])
-
-        def heard() -> bool:
-            true.send_multipart(pose(2.0))
-            return bool(keyed.poses)
-
-        keyed.until(heard)
+        keyed.send_until(lambda: keyed.poses, true, *pose(2.0))
         assert {p[1] for p in keyed.poses} == {2.0}
 
 

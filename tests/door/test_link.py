@@ -1,7 +1,7 @@
 """The loop's end of the pair: what a door says is done, within bounds of time and number."""
 
+import contextlib
 import logging
-import socket
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
@@ -12,38 +12,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.stream import pair, topics
-from taxeld.stream.link import PACKETS_PER_LOOK, SILENT_S, START_S, Link, Report
+from taxeld.stream.link import PACKETS_PER_LOOK, SILENT_S, START_S, Report
 from taxeld.stream.pair import Kind
 
+from .stand import INFO, Loop
+
 POSE, CAME = [1.0, 2.0, 3.0, 4.0], 5.0
-INFO = {"taxeld": "0"}
 
 
-class Ends:
+class Ends(contextlib.ExitStack, Loop):
     """A link, and the door's end in the test's hands."""
 
     def __init__(self) -> None:
-        self.poses: list[tuple[float, ...]] = []
-        self.done: list[str] = []
-        changes: dict[str, Any] = {
-            name: lambda name=name: self.done.append(name) for name in ("tare", "reset")
-        }
-        changes["fail"] = lambda: 1 // 0
-        self.link = Link(INFO, lambda *pose: self.poses.append(pose), changes)
+        contextlib.ExitStack.__init__(self)
+        Loop.__init__(self)
+        self.callback(self.link.detach)
         self.now_s = 0.0
-        self.door: socket.socket | None = None
         self.attach()
 
     def attach(self, *, ready: bool = True) -> None:
-        self.close()
-        loops, self.door = pair.open_pair()
+        loops, door = pair.open_pair()
+        self.door = self.enter_context(door)
         self.link.attach(loops, self.now_s)
         if ready:
             self.say(Kind.READY)
             self.link.look(self.now_s)
 
     def say(self, kind: Kind, *values: object) -> None:
-        assert self.door is not None
         assert pair.send(self.door, kind, *values)
 
     def look(self, after_s: float = 0.01) -> None:
@@ -52,23 +47,16 @@ class Ends:
 
     def heard(self) -> list[tuple[int, list[Any]]]:
         """All that has come to the door."""
-        assert self.door is not None
         found = []
         while (packet := pair.receive(self.door)) is not None:
             found.append(packet)
         return found
 
-    def close(self) -> None:
-        self.link.detach()
-        if self.door is not None:
-            self.door.close()
-
 
 @pytest.fixture
 def ends() -> Iterator[Ends]:
-    made = Ends()
-    yield made
-    made.close()
+    with Ends() as made:
+        yield made
 
 
 def test_what_a_door_says_is_done_and_it_is_told_first_who_speaks(ends: Ends) -> None:
@@ -113,7 +101,6 @@ def test_a_fault_is_heard_of_a_door_that_ends_without_reading(
     ends.say(Kind.WANTED, list(topics.TOPICS))
     ends.say(Kind.LOG, logging.WARNING, "a line")
     ends.say(Kind.FAULT, "no such key")
-    assert ends.door is not None
     ends.door.close()
     ends.look()
     assert (ends.link.fault, ends.link.end) == ("no such key", None)
@@ -140,17 +127,15 @@ def test_a_message_of_any_size_reaches_a_door_that_is_ready(ends: Ends) -> None:
 def test_a_packet_that_is_none_is_logged_and_counted_and_its_door_is_let_go(
     packets: list[bytes],
 ) -> None:
-    ends = Ends()
-    assert ends.door is not None
-    for packet in packets:
-        ends.door.send(packet)
-    ends.look()
-    assert (ends.link.end is None) == (ends.link.failed > 0)
-    ends.attach()
-    ends.say(Kind.POSES, [[POSE]], False, CAME)
-    ends.look()
-    assert ends.poses[-1] == (*POSE, CAME, 0)
-    ends.close()
+    with Ends() as ends:
+        for packet in packets:
+            ends.door.send(packet)
+        ends.look()
+        assert (ends.link.end is None) == (ends.link.failed > 0)
+        ends.attach()
+        ends.say(Kind.POSES, [[POSE]], False, CAME)
+        ends.look()
+        assert ends.poses[-1] == (*POSE, CAME, 0)
 
 
 def test_of_a_door_that_says_much_a_look_takes_a_bounded_part(ends: Ends) -> None:
