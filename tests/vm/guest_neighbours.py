@@ -36,7 +36,7 @@ ATTACKS = "subscribe_and_leave", "endless_to_stream", "unique_subscriptions"
 ATTACKERS, FLOOD_S = 3, 30  # at once, and for how long
 FRAMES = 100  # in a recording that has begun
 IDS = iter(range(0x7F0, 0x800))  # of CAN, that no skin has; another one each time
-LACKING_MB = 40  # more than the door has
+LACKING_MB = 150  # more than the doors have
 LATE_S = 3.0  # a recorder writes four times a second, on a quicker processor
 
 
@@ -148,7 +148,9 @@ def only_members_hear_and_only_those_of_the_control_group_change() -> None:
 def flooded(user: str, attack: str, endpoint: str, healthy: Sequence[Listener]) -> list[float]:
     """What each of the `healthy` subscribers has lost of the estimates once it hears again [%]."""
     before = [(each.last, each.heard) for each in healthy]
-    command = as_user(user, sys.executable, "/vm/attacks.py", attack, endpoint, f"{FLOOD_S}")
+    # the processor's time that nobody else wants: who attacks by TCP has one of his own elsewhere
+    command = ["chrt", "--idle", "0", *as_user(user, sys.executable, "/vm/attacks.py")]
+    command += [attack, endpoint, f"{FLOOD_S}"]
     with ExitStack() as beside:
         attackers = [
             beside.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE))

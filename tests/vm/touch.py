@@ -88,7 +88,7 @@ class Unit:
         stat = {key: int(value) for key, value in (line.split() for line in text.splitlines())}
         has = int((group / "memory.current").read_text("ascii"))
         kept = has - stat["active_file"] - stat["inactive_file"]
-        limit.write_text(f"{kept + mb * 2**20}\n", "ascii")
+        limit.write_text(f"{max(kept + mb * 2**20, 2**20)}\n", "ascii")
 
     @property
     def pid(self) -> int:
