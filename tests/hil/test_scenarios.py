@@ -107,35 +107,43 @@ def test_a_run_is_determined_by_its_seed() -> None:
 
 
 @pytest.fixture(scope="module")
-def rough(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A rough scenario in real time over both kinds of pseudo-terminal, at the same time."""
+def in_real_time(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rough scenario over both kinds of pseudo-terminal and a minute of drawn faults, at the same
+    time."""
     place = tmp_path_factory.mktemp("rough")
-    runs = []
+    runs = {"drawn": ["demo", "--foam", "scene", "--random", "1", "--seed", "35"]}
     for transport in ("slcan", "native"):
-        out = place / transport
         file = place / f"{transport}.toml"
         file.write_text(f'transport = "{transport}"\n{ROUGH}', encoding="utf-8")
-        command = ["run", str(file), "--out", str(out)]
-        into = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-        runs.append(subprocess.Popen([*HARNESS, *command], **into))
-    for run in runs:
+        runs[transport] = [str(file)]
+    into = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    begun = [
+        subprocess.Popen([*HARNESS, "run", *asked, "--out", str(place / name)], **into)
+        for name, asked in runs.items()
+    ]
+    for run in begun:
         printed, _ = run.communicate(timeout=300)
         assert run.returncode in (0, 1), printed
     return place
 
 
-@pytest.mark.parametrize("transport", ["slcan", "native"])
-def test_in_real_time_nothing_is_lost_without_being_counted(rough: Path, transport: str) -> None:
+# the native link has no adapter; a drawn minute has no daemon that is killed
+@pytest.mark.parametrize(
+    ("name", "faults", "lives"), [("slcan", 4, 2), ("native", 3, 2), ("drawn", 3, 1)]
+)
+def test_in_real_time_nothing_is_lost_without_being_counted(
+    in_real_time: Path, name: str, faults: int, lives: int
+) -> None:
     """Through an unplugged device, a closed adapter and a daemon that was killed."""
-    grade = json.loads((rough / transport / "grade.json").read_text(encoding="utf-8"))
+    grade = json.loads((in_real_time / name / "grade.json").read_text(encoding="utf-8"))
     assert [law for law in grade["laws"] if not law["holds"]] == []
-    assert grade["ledger"]["hosts"] == 2
+    assert grade["ledger"]["hosts"] == lives
     assert grade["ledger"]["fates"]["scans"] > 20  # since the last start, which may take seconds
     injected = [row for row in grade["faults"] if row["injected"]]
-    assert len(injected) == (4 if transport == "slcan" else 3)  # the native link has no adapter
+    assert len(injected) == faults
     for row in injected:
         assert row["detected_s"] is not None, row
-        assert row["recovered_s"] is not None or row["overlapped"], row
+        assert name == "drawn" or row["recovered_s"] is not None or row["overlapped"], row
 
 
 def test_what_was_recorded_on_hardware_is_graded_by_its_replay(
