@@ -107,7 +107,7 @@ def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
     assert cli.main(command) == 0
     first = capsys.readouterr()
     assert "2 trials" in first.out
-    assert "\n| cell | mm after 1 | mm after 2 | mm after 3 | found and sure 1 | " in first.out
+    assert "\n| cell | mm after 3 | found and sure 2 | found and sure 3 | misleading |" in first.out
     assert "\n| as it is | " in first.out
     found = json.loads((tmp_path / "expect.json").read_text(encoding="utf-8"))
     assert [len(row["found"]) for row in found["rows"]] == [3] * 4

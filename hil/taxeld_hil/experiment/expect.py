@@ -38,7 +38,7 @@ BELOW_M = 0.005  # under the lowest taxel: a skin is wider than its taxels
 HALF = 0.5  # share of trials that are sure, at which what would help is compared
 QUICK, LEAST = 10, 8  # seeds of --quick, and of which something is said
 TRIAL_S = 2.5  # of a core of 2 GHz, for eight touches on foam
-SHOWN = 1, 2, 3, 4, 6, 8, 12, 16, 24, 32  # touches of the table, and the last one
+SHOWN = 2, 4, 6, 8, 12, 16, 24, 32  # touches of the table, and the last one
 CHANCE = 2.0  # standard errors that chance alone may make
 
 
@@ -129,7 +129,7 @@ def written(own: Case, done: Sequence[Played], out: Path) -> Iterator[str]:
     )
     yield ""
     shown = " ".join(str(n) for n in range(1, own.touches + 1) if n in SHOWN or n == own.touches)
-    yield tables.text(rows, f"cell | mm {shown} | found_and_sure {shown} | misleading")
+    yield tables.text(rows, f"cell | mm {own.touches} | found_and_sure {shown} | misleading")
     yield ""
     for each in changes:
         found, sure = (
