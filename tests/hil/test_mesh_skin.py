@@ -16,9 +16,14 @@ from taxeld.layout import read as layouts
 from taxeld.model import contacts
 from taxeld.proposals import bundle
 from taxeld_sim.objects import meshes
+from taxeld_sim.trials.case import Case
+from taxeld_sim.trials.play import world_of
 from taxeld_sim.world import solids
+from taxeld_sim.world.conditions import Conditions
 from taxeld_sim.world.mesh_skin import LAYER_M, MeshSkin
+from taxeld_sim.world.robot import turned
 from taxeld_sim.world.subjects import Subject, model_of, solid_of
+from taxeld_sim.world.world import IDLE_S
 
 RING = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(RING)
@@ -69,6 +74,36 @@ def test_a_flat_press_is_as_deep_as_the_plane_stands_in_each_normals_way(depth_m
     expected = np.where(np.cos(column) > 0.0, np.clip(0.04 - way, 0.0, None), 0.0)
     np.testing.assert_allclose(hard(pressed(depth_m)), expected, atol=1e-9)
     assert hard(pressed(0.02)).max() == pytest.approx(LAYER_M), "no deeper than the skin"
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.1), (0.3, -0.4), (1.2, 0.9)])
+def test_a_link_that_leans_is_pressed_along_its_own_normals(tilt: tuple[float, float]) -> None:
+    """By a wall that is far larger than the link, in closed form."""
+    turn = turned(np.array(tilt))
+    place, normal = (each @ turn.T for each in (SKIN.position_m, SKIN.normal))
+    wall_m = place[:, 0].max() - 0.003
+    way = (place[:, 0] - wall_m) / np.maximum(normal[:, 0], 1e-9)
+    expected = np.where((way > 0.0) & (normal[:, 0] > 0.0), way, 0.0)
+    wall = Box(np.array([0.5, 0.5, 0.5]))
+    skin = MeshSkin(wall, SKIN, 0.0, 0.005)
+    depth = skin.indentation(np.array([wall_m + 0.5, 0.0, 0.0]), NO_SAG, turn)
+    shallow = expected < LAYER_M
+    np.testing.assert_allclose(depth[shallow], expected[shallow], atol=1e-9)
+    assert np.count_nonzero(depth) > 1
+
+
+@pytest.mark.parametrize("lean_rad", [0.1, 0.5])
+def test_a_link_that_leans_presses_as_deep_as_one_that_is_upright(lean_rad: float) -> None:
+    depths = []
+    for lean in (0.0, lean_rad):
+        given = Conditions(foam="typical", keys=(("sag_m", (0.0, 0.0)),), lean_rad=lean)
+        world = world_of(Case((Subject("box"),), conditions=given, guide="random", touches=4), 0)
+        times = world.touched_s().mean(axis=1)
+        depths.append([float(world.step(t).depth.max()) for t in times])
+        turns = [world.paths[0].turn(t - IDLE_S) for t in times]
+        assert np.arccos([turn[2, 2] for turn in turns]) == pytest.approx(lean, abs=1e-6)
+    upright, leaning = depths
+    assert leaning == pytest.approx(upright, abs=0.15)  # an electrode reads the mean of its points
 
 
 def test_an_object_that_does_not_touch_indents_nothing() -> None:

@@ -33,6 +33,7 @@ class Conditions:
     # the robot
     robot_m: float = SensorPoseConfig().sigma_m  # sd of its error in x and in y, for each touch
     robot_rad: float = 0.0  # sd of its error in yaw, for each touch
+    lean_rad: float = 0.0  # of each touch's link from the upright, in a random direction
     robot_told: bool = False  # whether the filter is told of `robot_m`
     # the object
     place_m: float = 0.15  # it stands within ± this of the origin, at any yaw

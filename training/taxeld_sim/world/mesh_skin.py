@@ -1,10 +1,10 @@
 """How deep a solid presses each taxel of a soft skin around a rigid link.
 
-Each point of the skin gives way along its normal, as deep as the solid reaches: a ray from inside
-the link outwards first meets the solid at a depth u. A taxel reads the mean over its electrode.
-Beside the contact the skin's cover sags, by exp(−s/λ) of u at a distance s, like a membrane on
-springs, with a λ of each taxel; where that is more than the mean, the taxel reads it. The solid is
-filled: a wall may be thinner than the press is deep.
+The link may lean. Each point of the skin gives way along its normal, as deep as the solid reaches:
+a ray from inside the link outwards first meets the solid at a depth u. A taxel reads the mean over
+its electrode. Beside the contact the skin's cover sags, by exp(−s/λ) of u at a distance s, like a
+membrane on springs, with a λ of each taxel; where that is more than the mean, the taxel reads it.
+The solid is filled: a wall may be thinner than the press is deep.
 """
 
 import numpy as np
@@ -23,6 +23,7 @@ STEP_M = 0.001  # along a ray
 LEAST_M = 5e-6  # smaller sags are left out: 20 of 20 000 counts
 ELECTRODE = np.vstack([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3)])
 ELECTRODE_RADII = np.sqrt(7.0 / 12.0)  # of the outer six points: their mean distance is a disc's
+UPRIGHT: Floats = np.eye(3)  # the turn of a link that does not lean
 
 
 class MeshSkin:
@@ -50,25 +51,23 @@ class MeshSkin:
         )
         between = _lattice(angle, layout.position_m[:, 2], radius)
         phi, z, r = np.concatenate([on_taxel, between], axis=1)
-        self._normal = np.stack([np.cos(phi), np.sin(phi)])
+        self._normal = np.stack([np.cos(phi), np.sin(phi), np.zeros(len(phi))])
         self._point = np.stack([r * self._normal[0], r * self._normal[1], z])
         self._full_m = depth_max_m
         self._layer_m = max(LAYER_M, LAYER * depth_max_m)
         self._depths = np.arange(0.0, self._layer_m + 0.5 * STEP_M, STEP_M)
-        self._reach = solid.size + float(radius.max())
+        self._reach = solid.size + float(np.linalg.norm(self._point, axis=0).max())
 
-    def __call__(self, seen: Poses, sag_m: Floats) -> Floats:
+    def __call__(self, seen: Poses, sag_m: Floats, turn: Floats = UPRIGHT) -> Floats:
         """(M,) depths in full scales, of the nearest of objects at poses (K, 3); as a `Body`."""
-        deepest = np.max([self.indentation(one, sag_m) for one in seen], axis=0)
+        deepest = np.max([self.indentation(one, sag_m, turn) for one in seen], axis=0)
         return np.asarray(deepest / self._full_m)
 
-    def indentation(self, seen: Poses, sag_m: Floats) -> Floats:
-        """(M,) [m] of each taxel, the object at `seen` (3,) in the sensor frame; `sag_m` (M,): the
-        length λ of each, where 0 is a taxel beside which nothing sags."""
-        middle = se2.apply(seen, self._solid.centre[None])[0]
-        if np.hypot(*middle) >= self._reach:
-            return np.zeros(self._taxels)
-        at, depth = self._met(seen)
+    def indentation(self, seen: Poses, sag_m: Floats, turn: Floats = UPRIGHT) -> Floats:
+        """(M,) [m] of each taxel, the object at `seen` (3,) in the upright sensor frame; `sag_m`
+        (M,): the length λ of each, where 0 is a taxel beside which nothing sags; `turn` (3, 3): of
+        the link in that frame, about its origin."""
+        at, depth = self._met(seen, turn)
         on_taxel = np.zeros(self._taxels * self._spots)
         own = at < len(on_taxel)
         on_taxel[at[own]] = depth[own]
@@ -76,6 +75,14 @@ class MeshSkin:
         if not len(at) or not sag_m.any():
             return np.asarray(pressed)
         return np.asarray(np.maximum(pressed, self._sagging(at, depth, sag_m)))
+
+    def deepest_m(self, seen: Poses, turn: Floats) -> float:
+        """How deep the object presses the taxel that it presses most; or the whole layer, where any
+        point of the skin can give way no more. As of `indentation`."""
+        at, depth = self._met(seen, turn)
+        if depth.max(initial=0.0) >= self._layer_m:
+            return self._layer_m
+        return float(depth[at < self._taxels * self._spots].max(initial=0.0))
 
     def _sagging(self, at: NDArray[np.intp], depth: Floats, sag_m: Floats) -> Floats:
         """(M,) [m] by points (k,) of the skin that are pressed so deep, beside the electrodes."""
@@ -87,21 +94,24 @@ class MeshSkin:
         sagging = np.exp(np.where(beside, share, -np.inf).max(axis=0))
         return np.where(sagging >= LEAST_M, sagging, 0.0)
 
-    def _met(self, seen: Poses) -> tuple[NDArray[np.intp], Floats]:
+    def _met(self, seen: Poses, turn: Floats) -> tuple[NDArray[np.intp], Floats]:
         """Indices (k,) of the skin's points that the solid presses, and how deep (k,) [m]."""
-        x, y = se2.apply(se2.inverse(seen), self._point[:2].T).T
+        middle = se2.apply(seen, self._solid.centre[None])[0]
+        if np.hypot(*middle) >= self._reach:
+            return np.empty(0, np.intp), np.empty(0)
+        own, normal = turn @ self._point, turn @ self._normal
+        x, y = se2.apply(se2.inverse(seen), own[:2].T).T
         off_x, off_y = x - self._solid.centre[0], y - self._solid.centre[1]
         near = np.flatnonzero(np.hypot(off_x, off_y) < self._solid.size + self._layer_m)
-        point = np.stack([x, y, self._point[2]]).take(near, axis=1)
+        point = np.stack([x, y, own[2]]).take(near, axis=1)
         gap = self._solid.distance(point)
         able = np.flatnonzero(gap <= self._layer_m)
         close, point = near[able], point[:, able]
         if not (gap <= 0.0).any():  # no point of the undeformed surface is inside the solid
             return close[:0], np.empty(0)
         c, s = np.cos(seen[2]), np.sin(seen[2])
-        inwards = -np.array([[c, s], [-s, c]]) @ self._normal[:, close]
-        way = np.repeat(point[:, :, None], len(self._depths), axis=2)
-        way[:2] += inwards[:, :, None] * self._depths
+        inwards = -np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ normal[:, close]
+        way = point[:, :, None] + inwards[:, :, None] * self._depths
         distance = self._solid.distance(way.reshape(3, -1)).reshape(len(close), -1)
         inside = distance <= 0.0
         hit = np.flatnonzero(inside.any(axis=1))

@@ -15,7 +15,15 @@ from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld_sim.world.conditions import Conditions
-from taxeld_sim.world.robot import ARC_STEP_RAD, SLIP_S, SLOW_FROM_M, STANDOFF_M, LinkRobot
+from taxeld_sim.world.mesh_skin import MeshSkin
+from taxeld_sim.world.robot import (
+    ARC_STEP_RAD,
+    SLIP_S,
+    SLOW_FROM_M,
+    STANDOFF_M,
+    LinkRobot,
+    turned,
+)
 
 PLANNED = "around", "random", "push"  # guides that need not know what was felt
 AROUND_MOST = 8  # touches of one way around the object, so that as many see all of its sides
@@ -32,6 +40,8 @@ RING, RING_BESIDE = 12, 5  # directions from which a robot reaches the object, a
 BESIDE = 0.8  # how far beside its middle the outer ones are, as a share of its size
 TWIN_GAP_M = 0.01  # gap between the object and the one beside it
 TWIN_STEP_M = 0.002  # step of the search for that gap
+LEAN_M, LEAN_STEP_M = 0.08, 1e-5  # how far a link that leans is moved to press, and how exactly
+UPRIGHT_TILT: Floats = np.zeros(2)
 
 
 class Circle:
@@ -192,11 +202,14 @@ class Toucher:
         place: Poses,
         touches: int,
         twin: Poses | None,
+        body: MeshSkin | None,
     ) -> None:
         """The robot begins beside an object at `place` (3,), which this link is to touch so often;
-        `twin` (3,): a second one, in the frame of the first."""
-        self._model, self._given = model, given
+        `twin` (3,): a second one, in the frame of the first; `body`: the skin, where the link is to
+        lean."""
+        self._model, self._given, self._body = model, given, body
         self._rng = rng = np.random.default_rng([seed, 22])
+        self._leans = np.random.default_rng([seed, 24])
         scene, self._reach_m = model.scene, model.scene.reach
         if twin is not None:
             far = np.linalg.norm(se2.apply(twin, scene.edge) - scene.centre, axis=1)
@@ -213,19 +226,39 @@ class Toucher:
         begins; → that line, None where nothing is on it."""
         circle = self.circle(place)
         self.robot.wait(now)
-        if candidate is not None:
-            self._travel(circle, candidate.after(np.zeros(1))[0])
-            return circle.along(candidate)
-        line = circle.normal(next(self._presses))
-        self._travel(circle, line[0])
-        return line
+        if candidate is None:
+            line, tilt = self._leaning(circle.normal(next(self._presses)), place)
+            self._travel(circle, line[0], tilt)
+            return line
+        met, tilt = circle.along(candidate), UPRIGHT_TILT
+        if met is not None:
+            met, tilt = self._leaning(met, place)
+        self._travel(circle, candidate.after(np.zeros(1))[0], tilt)
+        return met
 
-    def _travel(self, circle: Circle, begin: Poses) -> None:
+    def _leaning(self, line: Poses, place: Poses) -> tuple[Poses, Floats]:
+        """A line (4, 3) to an object at `place` (3,) and the link's tilt (2,) there: moved along
+        itself so that the skin is pressed as deep as upright."""
+        if self._body is None or not self._given.lean_rad:
+            return line, UPRIGHT_TILT
+        direction = self._leans.uniform(-np.pi, np.pi)
+        tilt = self._given.lean_rad * np.array([np.cos(direction), np.sin(direction)])
+        turn, press = turned(tilt), line[3] - line[2]
+        depth_m = float(np.linalg.norm(press[:2]))
+        low_m, high_m = -LEAN_M, LEAN_M
+        while high_m - low_m > LEAN_STEP_M:
+            middle_m = 0.5 * (low_m + high_m)
+            sensor = line[3] + middle_m / depth_m * press
+            is_deep = self._body.deepest_m(se2.compose(se2.inverse(sensor), place), turn) > depth_m
+            low_m, high_m = (low_m, middle_m) if is_deep else (middle_m, high_m)
+        return line + low_m / depth_m * press, tilt
+
+    def _travel(self, circle: Circle, begin: Poses, tilt: Floats) -> None:
         """Go around the object to a pose (3,), no nearer to it than the two ends of the way."""
         (was_m, was), (begin_m, angle) = map(circle.polar, (self.robot.pose[:2], begin[:2]))
         turn = float(se2.wrap(np.float64(angle - was)))
         way = np.linspace(was, was + turn, 2 + int(abs(turn) / ARC_STEP_RAD))
-        self.robot.travel(circle.at(way, max(was_m, begin_m)), float(begin[2]))
+        self.robot.travel(circle.at(way, max(was_m, begin_m)), float(begin[2]), tilt)
 
     def press(self, line: Poses, moved: Poses, rng: np.random.Generator) -> tuple[float, float]:
         """As `LinkRobot.press`, of an object that the press moves by `moved` (3,) in the world;
@@ -244,9 +277,11 @@ class Toucher:
         circle = self.circle(place)
         middle = np.array([*circle.centre, yaw]) + aside * np.array([-ahead[1], ahead[0], 0.0])
         start = middle - circle.radius_m * ahead
-        self._travel(circle, start)
+        self._travel(circle, start, UPRIGHT_TILT)
         self.robot.push(start, start + (2.0 * PUSH_M + 4.0 * scene.size) * ahead)
 
     def circle(self, place: Poses) -> Circle:
         """About the object at a place (3,)."""
-        return Circle(self._model, place, self._reach_m)
+        half_m = float(np.abs(self._model.layout.position_m[:, 2]).max())  # of the link's length
+        beyond_m = math.sin(self._given.lean_rad) * half_m
+        return Circle(self._model, place, self._reach_m + beyond_m)

@@ -31,6 +31,7 @@ class RobotPath:
 
     t: Floats  # (W,) seconds from the start
     pose: Poses  # (W, 3)
+    tilt: Floats  # (W, 2) rotation vector of the lean, about the upright sensor's x and y [rad]
     touched: Floats = field(default_factory=NO_TOUCH.copy)  # (N, 2) begins and ends [s]
     off: Poses = field(default_factory=lambda: np.zeros((1, 3)))  # (K, 3) error of the pose
     off_t: Floats = field(default_factory=lambda: np.zeros(1))  # (K,)
@@ -45,10 +46,22 @@ class RobotPath:
         found[..., 2] = se2.wrap(found[..., 2])
         return found
 
+    def turn(self, t: float) -> Floats:
+        """(3, 3) of the link in the upright sensor's frame at time t."""
+        return turned(np.array([np.interp(t, self.t, column) for column in self.tilt.T]))
+
     def stated(self, t: Floats | float) -> Poses:
         """The poses (…, 3) that the robot takes for its own at times t (…)."""
         off = [np.interp(t, self.off_t, column) for column in self.off.T]
         return np.asarray(self.at(t) + np.stack(off, axis=-1))
+
+
+def turned(tilt: Floats) -> Floats:
+    """(3, 3) of a rotation vector (2,) about x and y, by Rodrigues' formula."""
+    x, y = tilt
+    lean = float(np.hypot(x, y))
+    across = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]]) / max(lean, 1e-12)
+    return np.asarray(np.eye(3) + np.sin(lean) * across + (1.0 - np.cos(lean)) * across @ across)
 
 
 class LinkRobot:
@@ -57,17 +70,19 @@ class LinkRobot:
     def __init__(self, pose: Poses) -> None:
         """`pose` (3,): where it begins."""
         self._t, self._pose, self._touched = [0.0], [pose], list[list[float]]()
+        self._tilt: list[Floats] = [np.zeros(2)]
 
     def path(self, sd_m: float, sd_rad: float, seed: int) -> RobotPath:
         """So far, of a robot whose error is drawn for each touch, and lasts through it."""
-        t, pose, count = np.array(self._t), np.array(self._pose), len(self._touched)
+        t, pose, tilt = (np.array(each) for each in (self._t, self._pose, self._tilt))
+        count = len(self._touched)
         if not count:
-            return RobotPath(t, pose)
+            return RobotPath(t, pose, tilt)
         touched = np.array(self._touched)
         place = np.random.default_rng([seed, 11]).normal(0.0, sd_m, (count, 2))
         turn = np.random.default_rng([seed, 12]).normal(0.0, sd_rad, (count, 1))
         off = np.repeat(np.hstack([place, turn]), 2, axis=0)
-        return RobotPath(t, pose, touched, off, touched.ravel())
+        return RobotPath(t, pose, tilt, touched, off, touched.ravel())
 
     @property
     def now(self) -> float:
@@ -83,13 +98,16 @@ class LinkRobot:
         """Stand there until then."""
         self._t.append(max(until, self.now))
         self._pose.append(self.pose)
+        self._tilt.append(self._tilt[-1])
 
-    def travel(self, way: Floats, yaw: float) -> None:
-        """Go along points (W, 2), and turn to `yaw` on the way by the shorter turn."""
-        was = self.pose[2]
+    def travel(self, way: Floats, yaw: float, tilt: Floats) -> None:
+        """Go along points (W, 2), and turn to `yaw` on the way by the shorter turn, and to a `tilt`
+        (2,)."""
+        was, leant = self.pose[2], self._tilt[-1]
         turn = se2.wrap(np.float64(yaw - was))
         for i, point in enumerate(way):
             self._go(np.array([*point, was + turn * i / len(way)]), TRAVEL_M_S)
+            self._tilt[-1] = leant + (tilt - leant) * (i + 1) / len(way)
 
     def press(self, line: Poses, back: Poses, hold_s: float, slips: Poses) -> tuple[float, float]:
         """Go along a line (4, 3): where it begins, where it slows, where it touches, where it
@@ -121,4 +139,5 @@ class LinkRobot:
         self._t.append(self.now + (gap / speed_m_s if speed_m_s else after_s))
         yaw = self.pose[2] + se2.wrap(np.float64(pose[2] - self.pose[2]))
         self._pose.append(np.array([pose[0], pose[1], yaw]))
+        self._tilt.append(self._tilt[-1])
         return self.now

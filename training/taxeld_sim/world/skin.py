@@ -18,6 +18,7 @@ from taxeld.skin.calibration import Calibration
 from taxeld_protocol.modules import Module
 from taxeld_sim.world.conditions import Conditions
 from taxeld_sim.world.mesh_config import MeshConfig, Pair
+from taxeld_sim.world.mesh_skin import UPRIGHT
 
 COUNT_MAX = 0xFFFF
 T0_COUNTS = 12_000  # level of every module's temperature channel; a press hardly moves it
@@ -37,17 +38,18 @@ TURN = 0.1  # travel back, in full scales, after which the foam is on its other 
 ALIKE = 1.4  # how alike taxels are in their shares of answers: a and b of their beta add up to it
 LEAST_SLOPE = 0.1  # least slope of a response: a harder press reads more
 
-Body = Callable[[Poses, Floats], Floats]
-"""Object poses (K, 3) in the sensor frame, the sag's length of each taxel (M,) [m] → how deep the
-nearest of them presses each taxel (M,), in depths at full scale."""
+Body = Callable[[Poses, Floats, Floats], Floats]
+"""Object poses (K, 3) in the upright sensor frame, the sag's length of each taxel (M,) [m], the
+link's turn (3, 3) in that frame → how deep the nearest of them presses each taxel (M,), in depths
+at full scale."""
 
 
 def exact(model: ObservationModel) -> Body:
-    """Presses as the estimator expects them."""
+    """Presses as the estimator expects them, of a link that is upright."""
     # the farthest that a taxel touches; a mug's handle is no part of its outline
     reach_m = float(np.hypot(*np.abs(model.scene.extent).max(axis=0))) + model.layout.radius_m
 
-    def pressed(seen: Poses, _sag_m: Floats) -> Floats:
+    def pressed(seen: Poses, _sag_m: Floats, _turn: Floats) -> Floats:
         near = seen[np.hypot(seen[:, 0], seen[:, 1]) <= reach_m]  # of most of a path there is none
         if not len(near):
             return np.zeros(len(model.layout))
@@ -221,11 +223,11 @@ class SimulatedSkin:
             answers=self._answers,
         )
 
-    def press(self, seen: Poses, t: float) -> Floats:
-        """(M,) counts of presses, with objects at poses (K, 3) in the sensor frame at t [s]; times
-        do not go back."""
+    def press(self, seen: Poses, t: float, turn: Floats) -> Floats:
+        """(M,) counts of presses, with objects at poses (K, 3) in the upright sensor frame, in
+        which the link is turned by `turn` (3, 3), at t [s]; times do not go back."""
         was_pressed = self.depth.any()
-        self.depth = self._body(seen, self._sag_m.now)
+        self.depth = self._body(seen, self._sag_m.now, turn)
         if was_pressed and not self.depth.any():
             self._sag_m.draw()
             self._foam.end()
@@ -238,10 +240,10 @@ class SimulatedSkin:
         counts[self._silent] = 0.0
         return counts
 
-    def counts(self, seen: Poses, t: float, *, touching: bool) -> list[int]:
+    def counts(self, seen: Poses, t: float, *, touching: bool, turn: Floats = UPRIGHT) -> list[int]:
         """One scan, channel by channel, as of `press`; 0 where a taxel is dead. `touching`: whether
         the first touch has begun."""
-        press = self.press(seen, t)
+        press = self.press(seen, t, turn)
         thermal = self._thermal_counts * np.sin(self._rate * t + self._phase)
         drift = thermal * self._share + t * self._drift
         noise = self._noise * self._rng.standard_normal(len(press))

@@ -1,5 +1,6 @@
 """Objects by name: a bundle, a YCB id or a mesh file, on any layout, size and height."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -129,8 +130,8 @@ def solid_of(subject: Subject, *specs: str) -> Solid:
 
 @lru_cache(maxsize=8)
 def _solid_of(subject: Subject, specs: tuple[str, ...], _stamps: tuple[int, ...]) -> Solid:
-    height_m = max(float(np.abs(layouts.load(spec).position_m[:, 2]).max()) for spec in specs)
-    reach_m = height_m + MARGIN_M + LAYER_M
+    places = np.vstack([layouts.load(spec).position_m for spec in specs])
+    reach_m = math.ceil(1e3 * np.linalg.norm(places, axis=1).max()) / 1e3 + MARGIN_M + LAYER_M
     from taxeld_sim.objects import meshes  # noqa: PLC0415  (an extra)
 
     path, _ = meshes.find(subject.mesh)

@@ -21,7 +21,7 @@ from taxeld_protocol.modules import NAMES, Module, wired
 from taxeld_sim.world import plan
 from taxeld_sim.world.conditions import Conditions
 from taxeld_sim.world.ground import Ground, gave_way
-from taxeld_sim.world.mesh_skin import MeshSkin
+from taxeld_sim.world.mesh_skin import UPRIGHT, MeshSkin
 from taxeld_sim.world.plan import PLANNED, Toucher
 from taxeld_sim.world.robot import RobotPath
 from taxeld_sim.world.skin import Body, SimulatedSkin, exact
@@ -54,17 +54,19 @@ class World:
         solid: Solid | None = None,
         kind: type[Module] = Module,
     ) -> None:
-        """`links`: the touched object on each; `solid`: the object itself, which foam meets unless
-        it is exact; `kind`: of what reads the taxels, where their UIDs are those of modules."""
+        """`links`: the touched object on each; `solid`: the object itself, None where the
+        estimator's own model of it is touched; `kind`: of what reads the taxels, where their UIDs
+        are those of modules."""
         self.links = links
         self.modules = [_wired(link.layout, kind) for link in links]  # of each link
-        self.skins = list[SimulatedSkin]()
+        self.skins, self._bodies = list[SimulatedSkin](), list[Body]()
         for k, (model, own) in enumerate(zip(links, self.modules, strict=True)):
             rng = np.random.default_rng(seed + LINK_SEEDS * k)
             _placed(given, rng)
             body: Body = exact(model)
-            if not given.is_exact and solid is not None:
+            if solid is not None:
                 body = MeshSkin(solid, model.layout, given.skin.taxel_radius_m, model.depth_max_m)
+            self._bodies.append(body)
             self.skins.append(SimulatedSkin(given, model.layout, own, body, rng))
         self._begin(given, seed, np.random.default_rng(seed))
 
@@ -82,7 +84,7 @@ class World:
         self.pushed_m = 0.0  # way of the sensor while it has pushed the object
         self._before: Poses | None = None  # where the sensor was before, in a push
         self.touches = 0  # that are planned
-        self.paths = [RobotPath(np.zeros(1), AWAY[None]) for _ in self.links]
+        self.paths = [RobotPath(np.zeros(1), AWAY[None], np.zeros((1, 2))) for _ in self.links]
 
     def place(self, pose: Poses) -> None:
         """Have the object stand at a pose (3,), before any touch is planned."""
@@ -101,6 +103,7 @@ class World:
                 self.truth,
                 len(range(k, touches, len(self.links))),
                 self.twin,
+                body if isinstance(body := self._bodies[k], MeshSkin) else None,
             )
             for k, model in enumerate(self.links)
         ]
@@ -200,7 +203,7 @@ class World:
         if len(self._places) == 1:
             return self.truth
         times, poses = zip(*self._places, strict=True)
-        return RobotPath(np.array(times), np.array(poses)).at(t - IDLE_S)
+        return RobotPath(np.array(times), np.array(poses), np.zeros((1, 2))).at(t - IDLE_S)
 
     def sensor(self, t: float, link: int = 0) -> Poses:
         """The true pose (3,) of a link's sensor at scenario time t."""
@@ -219,9 +222,10 @@ class World:
         seen = se2.compose(se2.inverse(sensor), truth)[None]
         if self.twin is not None:
             seen = np.vstack([seen, se2.compose(seen, self.twin)])
-        skin, begun = self.skins[link], self.paths[link].touched
-        touching = bool(len(begun)) and t - IDLE_S >= begun[0, 0]
-        counts = skin.counts(seen, t, touching=touching)
+        skin, path = self.skins[link], self.paths[link]
+        touching = bool(len(path.touched)) and t - IDLE_S >= path.touched[0, 0]
+        turn = path.turn(t - IDLE_S) if self._given.lean_rad else UPRIGHT
+        counts = skin.counts(seen, t, touching=touching, turn=turn)
         return Step(sensor, truth, skin.depth, counts)
 
 
@@ -241,7 +245,7 @@ def planned_world(
         SetupError: the object or a layout cannot be found, read or used.
     """
     links = model_of(subject, *specs).links
-    solid = None if given.is_exact else solid_of(subject, *specs)
+    solid = None if given.is_exact and not given.lean_rad else solid_of(subject, *specs)
     world = World(links, given, seed, solid, kind)
     world.plan(guide, touches)
     return world
