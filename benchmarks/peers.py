@@ -2,8 +2,8 @@
 
 `make bench-peers` gives it an environment of its own, as `particles` needs an older numpy. Each
 filter takes one scan of 80 taxels without samples: likelihood, resampling, and a random step of
-each particle. The mixture does more: it accepts a step by the likelihood of all remembered touches
-(Metropolis). CPU time, medians over interleaved rounds.
+each particle. A belief that remembers does more: it accepts a step by the likelihood of all
+remembered touches (Metropolis). CPU time, medians over interleaved rounds.
 """
 
 import importlib.util
@@ -21,7 +21,7 @@ from pfilter import ParticleFilter
 from taxeld.config.tables import FilterConfig, SensorPoseConfig, SkinConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.memory import Memory, ObjectSkin
-from taxeld.estimator.mixture import Mixture
+from taxeld.estimator.object_belief import ObjectBelief
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.scans import Reader
 from taxeld.layout import read as layouts
@@ -56,21 +56,21 @@ class PeerScans:
     def log_likelihood(self, k: int, poses: np.ndarray) -> np.ndarray:
         """Log likelihood (N,) of poses (N, 3) for scan `k`, as for a new scan."""
         memory = self.nothing.plus(self.reader.read(self.observations[k % SCANS]))
-        return memory.explain(poses)[:, 0]
+        return memory.explain(poses).scans[:, 0]
 
-    def rule(self, n: int, kind: type[Mixture]) -> Mixture:
-        """One of our rules with N particles and no samples; but for the paper's it remembers eight
+    def belief(self, n: int, kind: type[ObjectBelief]) -> ObjectBelief:
+        """A belief with N particles and no samples; but for the paper's it remembers eight
         touches."""
         config = FilterConfig(particles=n, particles_max=n)
         start = np.random.default_rng(1).standard_normal((n, 3)) * PRIOR_SD
         sigma_m, rng = SensorPoseConfig().sigma_m, np.random.default_rng(2)
-        rule = kind(self.model, config, sigma_m, rng, lambda *_: np.empty((0, 3)))
-        rule.belief = pf.equal(start.copy(), np.empty((n, 0)))
-        if kind is Mixture:
+        belief = kind(self.model, config, sigma_m, rng, lambda *_: np.empty((0, 3)))
+        belief.particles = pf.equal(start.copy())
+        if kind is ObjectBelief:
             for number, observation in enumerate(self.observations[:TOUCHES], 1):
-                rule.memory = rule.memory.plus(self.reader.read(observation, number))
-            rule.belief.remembered = rule.memory.explain(start)
-        return rule
+                belief.memory = belief.memory.plus(self.reader.read(observation, number))
+            belief.particles.explained = belief.memory.explain(start)
+        return belief
 
 
 class PeerModel(StateSpaceModel):
@@ -134,9 +134,9 @@ def measure(scans: PeerScans, n: int) -> dict[str, float]:
 
     for k in range(rounds):
         at[0], seen = k, scans.observations[k % SCANS]
-        for name, kind in (("taxeld", Paper), ("taxeld, 8 touches remembered", Mixture)):
-            fresh = [scans.rule(n, kind) for _ in range(steps)]
-            timed(name, fresh, lambda rule: rule.take(scans.reader.read(seen, TOUCHES + 1)))  # noqa: B023
+        for name, kind in (("taxeld", Paper), ("taxeld, 8 touches remembered", ObjectBelief)):
+            fresh = [scans.belief(n, kind) for _ in range(steps)]
+            timed(name, fresh, lambda belief: belief.take(scans.reader.read(seen, TOUCHES + 1)))  # noqa: B023
         timed("particles", [smc] * steps, next)
         timed("pfilter", [peer] * steps, lambda one: one.update(np.zeros(3)))
     return {name: float(np.median(each[1:])) for name, each in spent.items()}

@@ -75,7 +75,7 @@ def test_the_touched_object_is_named_and_found(known: list[Known], touched: int)
     assert found.object == touched
     assert found.objects[touched] > SURE
     assert found.status is Status.CONVERGED
-    assert subject.rule.metric.distance(found.map, world.truth) < 0.005
+    assert subject.belief.metric.distance(found.map, world.truth) < 0.005
 
 
 def test_an_object_that_is_none_of_them_is_said_to_be_other(
@@ -96,9 +96,9 @@ def test_an_object_in_the_place_of_another_is_named(
     assert subject.bank.ruled_out == {1, 2}
     asked: list[int] = []
     with monkeypatch.context() as patched:
-        for k, rule in enumerate(subject.bank.rules):
+        for k, belief in enumerate(subject.bank.beliefs):
             for name in ("take", "search", "adopt"):
-                patched.setattr(rule, name, _counted(getattr(rule, name), asked, k))
+                patched.setattr(belief, name, _counted(getattr(belief, name), asked, k))
         press(subject, world)
     assert set(asked) == {0}
     after = World(known[2].model)
@@ -106,7 +106,7 @@ def test_an_object_in_the_place_of_another_is_named(
     press(subject, after)
     assert subject.estimate.object == 2
     assert subject.estimate.objects[2] > 0.95
-    assert subject.rule.metric.distance(subject.estimate.map, world.truth) < 0.005
+    assert subject.belief.metric.distance(subject.estimate.map, world.truth) < 0.005
 
 
 def test_a_touch_is_learned_by_a_few_objects_at_once(known: list[Known]) -> None:
@@ -114,8 +114,8 @@ def test_a_touch_is_learned_by_a_few_objects_at_once(known: list[Known]) -> None
     then it is no evidence before itself, or it would count twice."""
     subject, world = several(known), World(known[2].model)
     press(subject, world, SIDES[:1])
-    before, rules = subject.estimate, subject.bank.rules
-    evidence = [rule.log_z for rule in rules]
+    before, beliefs = subject.estimate, subject.bank.beliefs
+    evidence = [belief.log_z for belief in beliefs]
     on_scan = subject.on_scan
     subject.on_scan = partial(on_scan, thinks=False)  # type: ignore[method-assign]
     world.press(subject, SIDES[1])
@@ -126,7 +126,7 @@ def test_a_touch_is_learned_by_a_few_objects_at_once(known: list[Known]) -> None
     assert now.objects[left] / max(now.objects) == pytest.approx(
         before.objects[left] / max(before.objects), rel=0.7
     )
-    assert rules[left].log_z == pytest.approx(evidence[left], abs=1.0)
+    assert beliefs[left].log_z == pytest.approx(evidence[left], abs=1.0)
     changed = False
     while subject.bank.is_behind:
         assert subject.has_thought

@@ -15,7 +15,7 @@ from taxeld.estimator import scans
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import ROOM
+from taxeld.estimator.object_belief import ROOM
 from taxeld.model import se2
 from taxeld.model.observation import Activation, ObservationModel
 from taxeld.proposals.analytic import Manifold, Projection
@@ -61,7 +61,7 @@ def test_touches_that_no_pose_explains_do_not_drive_the_belief_away(
             z[rng.permutation(32)[: 4 * pressed]] = 1.0
             subject.on_scan(Activation(t, z, np.ones(32, dtype=bool)), se2.IDENTITY)
             t += 0.05
-    far = np.hypot(*subject.rule.belief.pose[:, :2].T)
+    far = np.hypot(*subject.belief.particles.pose[:, :2].T)
     assert far.max() <= ROOM * FilterConfig().half_width_m
 
 
@@ -73,9 +73,9 @@ def test_a_sensor_that_goes_far_away_does_not_draw_the_belief_after_it(
     away = se2.compose(press(0.0), np.array([5.0, 0.0, 0.0]))
     for t in (2.0, 2.05):  # where it stays it is believed
         subject.on_scan(Activation(t, np.zeros(32), np.ones(32, dtype=bool)), away)
-    assert (subject.counters.jumps, subject.rule.memory.number[-1]) == (1, 1)
-    assert np.allclose(subject.rule.memory.sensor[subject.rule.memory.contact], press(-0.004))
-    pose = subject.rule.belief.pose
+    assert (subject.counters.jumps, subject.belief.memory.number[-1]) == (1, 1)
+    assert np.allclose(subject.belief.memory.sensor[subject.belief.memory.contact], press(-0.004))
+    pose = subject.belief.particles.pose
     room = pf.Room(press(-0.004)[:2], ROOM * FilterConfig().half_width_m)
     assert room.lets(pose, pose + 1e-3).all()
 
@@ -102,7 +102,7 @@ def test_by_the_papers_rule_a_contact_asks_for_fewer_samples_than_the_one_before
     subject = Estimator(box_model, Asked(box_model), FilterConfig(injection="paper"))
     for k in range(8):
         approach(subject, box_model, t=10.0 * k)
-    assert not len(subject.rule.memory)
+    assert not len(subject.belief.memory)
     assert asked == [50, 25, 12, 6, 3, 2, 1]
 
 
@@ -116,10 +116,11 @@ def test_a_long_press_makes_room_for_itself_and_no_other_contact_is_forgotten(
     for k in range(20):  # along the face, in steps that tell something new
         at = se2.compose(press(-0.004), np.array([0.0, 0.004 * k, 0.0]))
         subject.on_scan(feel(box_model, at, 40.0 + 0.05 * k), at)
-    rule = subject.rule
-    assert rule.memory.number[rule.memory.contact].tolist() == [1, 2, 3, 3]
-    assert len(rule.memory) <= 4 + scans.SILENT_MAX
-    assert np.allclose(rule.memory.explain(rule.belief.pose), rule.belief.remembered)
+    belief = subject.belief
+    assert belief.memory.number[belief.memory.contact].tolist() == [1, 2, 3, 3]
+    assert len(belief.memory) <= 4 + scans.SILENT_MAX
+    explained = belief.memory.explain(belief.particles.pose)
+    assert np.allclose(explained.scans, belief.particles.explained.scans)
 
 
 def test_scans_back_in_time_change_nothing(box_model: ObservationModel) -> None:
@@ -133,15 +134,15 @@ def test_scans_back_in_time_change_nothing(box_model: ObservationModel) -> None:
 def test_a_belief_that_becomes_impossible_begins_anew(box_model: ObservationModel) -> None:
     """With silence where a touch was expected; a touch after it leaves its own samples."""
     world, subject = settled(box_model)
-    subject.rule.belief.log_weight[:] = -np.inf
+    subject.belief.particles.log_weight[:] = -np.inf
     expected = se2.compose(TRUTH, box_side(box_model, 0.2, 0.004))
     subject.on_scan(Activation(100.0, np.zeros(32), np.ones(32, dtype=bool)), expected)
-    assert np.isclose(subject.rule.belief.weight.sum(), 1.0)
-    assert np.ptp(subject.rule.belief.pose[:, 0]) > 0.5
-    subject.rule.belief.log_weight[:] = -np.inf
+    assert np.isclose(subject.belief.particles.weight.sum(), 1.0)
+    assert np.ptp(subject.belief.particles.pose[:, 0]) > 0.5
+    subject.belief.particles.log_weight[:] = -np.inf
     world.t = 101.0
     world.press(subject, 1.3)
-    near = subject.rule.metric.distance(subject.rule.belief.pose, TRUTH) < 0.02
+    near = subject.belief.metric.distance(subject.belief.particles.pose, TRUTH) < 0.02
     assert near.mean() > 0.9
 
 
@@ -261,9 +262,9 @@ class AnyInput(RuleBasedStateMachine):
     def the_state_is_finite(self) -> None:
         if not hasattr(self, "subject"):
             return
-        belief, estimate = self.subject.rule.belief, self.subject.estimate
+        belief, estimate = self.subject.belief.particles, self.subject.estimate
         assert np.isfinite(belief.pose).all()
-        assert np.isfinite(belief.remembered).all()
+        assert np.isfinite(belief.explained.scans).all()
         assert np.isclose(belief.weight.sum(), 1.0)
         assert 1 <= len(belief) <= 60
         assert np.isfinite([*estimate.map, *estimate.mean, estimate.ess, estimate.t]).all()

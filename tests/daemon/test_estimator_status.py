@@ -19,7 +19,7 @@ from taxeld.estimator.estimate import (
     status,
 )
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import SEARCHES
+from taxeld.estimator.object_belief import SEARCHES
 from taxeld.estimator.scans import REMEMBERED
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
@@ -54,7 +54,7 @@ def test_contacts_on_a_rough_skin_do_not_move_the_object(box_model: ObservationM
         estimate = world.press(subject, 0.9 * k)
         doubted += estimate.status is Status.INCONSISTENT
     assert doubted > 1
-    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.01
+    assert subject.belief.metric.distance(estimate.map, TRUTH) < 0.01
 
 
 def test_an_object_that_was_moved_is_missed_by_two_touches_and_then_found(
@@ -68,7 +68,7 @@ def test_an_object_that_was_moved_is_missed_by_two_touches_and_then_found(
     assert estimate.hypotheses.stands < 0.2
     estimate = world.find(subject)
     assert estimate.hypotheses.moved > 0.9
-    assert subject.rule.metric.distance(estimate.map, world.truth) < 0.003
+    assert subject.belief.metric.distance(estimate.map, world.truth) < 0.003
 
 
 def test_an_object_that_stands_does_not_move_as_contacts_are_forgotten(
@@ -101,7 +101,7 @@ def test_one_touch_of_something_else_does_not_move_the_object(box_model: Observa
     world.press(subject, 0.2)
     world.truth = TRUTH
     estimate = world.find(subject)
-    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.003
+    assert subject.belief.metric.distance(estimate.map, TRUTH) < 0.003
 
 
 def test_after_a_contact_that_nothing_explains_silence_ends_no_doubt(
@@ -130,10 +130,10 @@ def test_an_object_taken_away_is_missed(box_model: ObservationModel) -> None:
 
 
 def test_a_wide_belief_has_more_particles(box_model: ObservationModel) -> None:
-    rule = estimator(box_model).rule
-    wide = rule._size(rule.belief)
-    rule.belief.pose[:] = TRUTH
-    assert wide > 1.5 * rule._size(rule.belief)
+    belief = estimator(box_model).belief
+    wide = belief._size(belief.particles)
+    belief.particles.pose[:] = TRUTH
+    assert wide > 1.5 * belief._size(belief.particles)
 
 
 @pytest.mark.parametrize("all_dead", [True, False])
@@ -157,14 +157,14 @@ def test_a_pushed_object_of_which_the_place_was_known_is_found_by_fewer_contacts
     found = []
     for known in (True, False):
         world, subject = settled(box_model)
-        rule = subject.rule
+        belief = subject.belief
         if not known:
             subject.reset()
         else:
-            rule.push = lambda _, __, pose, *___: (pose + SHIFT, np.full(len(pose), 0.01))
+            belief.push = lambda _, __, pose, *___: (pose + SHIFT, np.full(len(pose), 0.01))
             nothing = Observation(np.zeros(3), np.zeros(32), np.ones(32, dtype=np.bool_))
-            rule.follow(nothing, nothing)
-            assert not len(rule.memory)
+            belief.follow(nothing, nothing)
+            assert not len(belief.memory)
             world.truth = TRUTH + SHIFT
         for angle in (0.2, 2.9):
             estimate = world.press(subject, angle)
@@ -203,7 +203,7 @@ def verdict(
     """Of a narrow belief, a share of which is elsewhere."""
     poses = around(1000)
     poses[: round(1000 * share), 0] += apart_m
-    belief = pf.equal(poses, np.empty((1000, 0)))
+    belief = pf.equal(poses)
     config = FilterConfig(**keys)  # type: ignore[arg-type]
     return Verdict(placed(belief, PoseMetric(model.scene), config), here, hypotheses)
 
@@ -225,7 +225,7 @@ def test_equivalent_poses_are_near_each_other(box_model: ObservationModel) -> No
     poses = around(1000)
     poses[::2, 2] += np.pi
     config, metric = FilterConfig(), PoseMetric(box_model.scene)
-    found = placed(pf.equal(poses, np.empty((1000, 0))), metric, config)
+    found = placed(pf.equal(poses), metric, config)
     assert found.within > 0.995
     assert found.radius_m < 0.01
 
@@ -278,6 +278,6 @@ def test_status(
 
 def test_while_no_place_has_much_weight_it_searches(box_model: ObservationModel) -> None:
     poses = np.random.default_rng(0).uniform(-0.5, 0.5, (1000, 3))
-    belief = pf.equal(poses, np.empty((1000, 0)))
+    belief = pf.equal(poses)
     made = Verdict(placed(belief, PoseMetric(box_model.scene), FilterConfig()), 1.0, STANDS)
     assert status(made, 2) is Status.SEARCHING

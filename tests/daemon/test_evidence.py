@@ -12,6 +12,7 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import Hypotheses
 from taxeld.estimator.evidence import HAZARD, MEANINGLESS, ModelEvidence, Runs, odds
 from taxeld.estimator.memory import Memory
+from taxeld.estimator.particles import Explained
 from taxeld.estimator.priors import BeliefPrior
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
@@ -31,15 +32,20 @@ def of_contacts(n: int, scans: int = 1) -> Runs:
     """n contacts of as many scans each, and no silence; before each but the first there is the
     same evidence."""
     shares = np.hstack([np.repeat(np.eye(n), scans, axis=0) / scans, np.zeros((n * scans, n))])
+    none, steps = np.empty((0, 2 * n)), np.ones(n, np.bool_)
     begun = np.full(n, np.log(HAZARD) + EVIDENCE)
     begun[0] = 0.0
-    return Runs(
-        np.arange(n), shares, np.repeat([USUAL, 0.0], n), np.ones(n, np.bool_), begun, begun
-    )
+    return Runs(np.arange(n), shares, none, np.repeat([USUAL, 0.0], n), steps, begun, begun)
+
+
+def explained(scans: Floats, *priors: float) -> Explained:
+    """Of poses (N, K), or of one (K,), which priors find alike."""
+    of_scans = np.atleast_2d(scans)
+    return Explained(of_scans, np.tile(priors, (len(of_scans), 1)))
 
 
 def support(runs: Runs, *told: float) -> float:
-    return float(runs.support(np.array([told]))[0])
+    return float(runs.support(explained(np.array(told)))[0])
 
 
 def worth(nats: float) -> float:
@@ -75,7 +81,7 @@ def test_scans_of_a_contact_count_as_one_in_any_order(
     assert support(runs, *given_scans[:, order].ravel()) == pytest.approx(found)
     alone = of_contacts(len(told))
     assert support(alone, *given_scans.mean(axis=1)) == pytest.approx(found)
-    each = alone.each(given_scans.mean(axis=1)[None])
+    each = alone.each(explained(given_scans.mean(axis=1)))
     assert each.max() - 1e-9 <= found <= each.max() + np.log(len(told)) + 1e-9
 
 
@@ -89,7 +95,7 @@ def remembered(
     model: ObservationModel, scans: list[tuple[int, bool]], known: BeliefPrior | None = None
 ) -> Memory:
     """Scans of contacts by number, or of the silence after them."""
-    memory, live = memory_of(model, Noise(), prior=known), np.ones(len(model.layout), np.bool_)
+    memory, live = memory_of(model, Noise(), earlier=known), np.ones(len(model.layout), np.bool_)
     for number, touched in scans:
         z: Floats = np.where(np.arange(len(live)) < 3 * touched, 0.5, 0.0)
         memory = plus(memory, Observation(np.zeros(3), z, live), number, EVIDENCE)
@@ -99,17 +105,20 @@ def remembered(
 def test_a_prior_counts_only_as_long_as_the_object_has_stood(box_model: ObservationModel) -> None:
     known = prior(box_model)
     runs = remembered(box_model, [(1, True), (2, True)], known).runs
-    usual, told = runs.each(np.zeros((1, 3))), runs.each(np.array([[2.5, 0.0, 0.0]]))
-    assert np.allclose(told - usual, [[2.5, 0.0]])
-    alone = memory_of(box_model, Noise(), prior=known)
-    assert alone.runs.support(np.full((1, 1), 2.5)) == [2.5]
-    assert memory_of(box_model, Noise()).runs.support(np.empty((3, 0))).tolist() == [0.0] * 3
+    usual, known_here = (runs.each(explained(np.zeros(2), by)) for by in (0.0, 2.5))
+    assert np.allclose(known_here - usual, [[2.5, 0.0]])
+    alone = memory_of(box_model, Noise(), earlier=known)
+    assert alone.runs.support(explained(np.empty(0), 2.5)) == [2.5]
+    assert (
+        memory_of(box_model, Noise()).runs.support(explained(np.empty((3, 0)))).tolist()
+        == [0.0] * 3
+    )
 
 
 def test_silence_tells_of_the_object_from_the_next_contact_on(box_model: ObservationModel) -> None:
     """It may have moved after the contact before. No silence means nothing."""
     runs = remembered(box_model, [(1, True), (1, False), (2, True)]).runs
-    cost = runs.each(np.zeros((1, 3))) - runs.each(np.array([[0.0, -1e4, 0.0]]))
+    cost = runs.each(explained(np.zeros(3))) - runs.each(explained(np.array([0.0, -1e4, 0.0])))
     assert np.allclose(cost, 1e4)
     assert runs.touched.tolist() == [True, True]
     runs = remembered(box_model, [(1, True), (2, True), (2, False)]).runs
@@ -157,9 +166,9 @@ def test_a_belief_as_wide_as_what_can_be_touched_has_no_evidence(
     """Where it explains the first contact as well as anything does."""
     felt.touch(SIDES[:1])
     wide = contacts.synthesise(box_model.scene, 0.04, 0.005, 30_000, np.random.default_rng(0)).pose
-    belief = pf.equal(wide, np.full((len(wide), 1), felt.memory.anything[0]))
+    belief = pf.equal(wide, explained(np.full((len(wide), 1), felt.memory.background[0])))
     assert felt.evidence.of(belief, felt.memory.runs) == pytest.approx(0.0, abs=1.0)
-    narrow = pf.equal(wide[:3], belief.remembered[:3])
+    narrow = pf.equal(wide[:3], explained(belief.explained.scans[:3]))
     assert felt.evidence.of(narrow, felt.memory.runs) < -5.0
 
 

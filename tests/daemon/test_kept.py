@@ -139,14 +139,14 @@ def test_a_restart_learns_the_silences_that_the_belief_remembers_however_many_ca
     for k in range(40):  # where nothing was expected
         world.feel(run.estimator, np.array([0.25 + 0.006 * k, 0.2, 0.0]))
     world.press(run.estimator, 2.9)
-    silent = [scan for scan in run.estimator.rule.memory.scans if not scan.is_contact]
+    silent = [scan for scan in run.estimator.belief.memory.scans if not scan.is_contact]
     before_touch = [scan.observation.sensor for scan in silent if scan.number < 3]
     assert len(before_touch) > 3
     run.end()
     again = begin()
     found, is_silent = stored(again), ~stored(again)["belief.z"].any(axis=1)
     assert found["belief.sensor"][is_silent] == pytest.approx(np.array(before_touch))
-    assert sum(not scan.is_contact for scan in again.estimator.rule.memory.scans) > 3
+    assert sum(not scan.is_contact for scan in again.estimator.belief.memory.scans) > 3
 
 
 def test_scans_with_and_without_noise_of_links_of_two_sizes_come_back() -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from taxeld import native
 from taxeld.arrays import Floats, Poses
-from taxeld.estimator.anything import Anything
+from taxeld.estimator.background import Background
 from taxeld.estimator.likelihood import NumpyExplainer
-from taxeld.estimator.memory import Memory, ObjectSkin, Slack
+from taxeld.estimator.memory import Memory, ObjectSkin, OffsetVariance
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
@@ -61,10 +61,10 @@ def beside_monte_carlo(model: ObservationModel, noise: Noise, sd_m: float, seed:
         h[near.taxel] = np.clip(sagging(near.depth, np.maximum(rate, LEAST_RATE)), 0.0, 1.0)
         told = sensor + sd_m * np.array([*rng.standard_normal(2), 0.0])
         scan = Observation(told, noise.draw(h, rng), np.ones(len(h), dtype=np.bool_))
-        exact = plus(Memory(skin), scan, 1).explain(poses)
-        found = [plus(Memory(each, Slack(sd_m)), scan, 1) for each in (skin, by_numpy)]
+        exact = plus(Memory(skin), scan, 1).explain(poses).scans
+        found = [plus(Memory(each, OffsetVariance(sd_m)), scan, 1) for each in (skin, by_numpy)]
         mean = np.log(np.exp(exact - exact.max()).mean()) + exact.max()
-        off.append([each.explain(np.zeros((1, 3)))[0, 0] - mean for each in found])
+        off.append([each.explain(np.zeros((1, 3))).scans[0, 0] - mean for each in found])
     return np.array(off)
 
 
@@ -83,28 +83,31 @@ def test_the_likelihood_is_the_integral_over_all_offsets(
 
 def test_a_place_that_is_known_badly_is_a_scans_own_slack(box_model: ObservationModel) -> None:
     """A touch's and a silent one's."""
-    none, slack = memory_of(box_model, NOISE), memory_of(box_model, NOISE, Slack(3.0 * SD_M))
+    none, offsets = (
+        memory_of(box_model, NOISE),
+        memory_of(box_model, NOISE, OffsetVariance(3.0 * SD_M)),
+    )
     poses = 0.004 * np.random.default_rng(0).standard_normal((20, 3))
     scans = [felt(box_model, press) for press in presses(box_model, 3)]
     scans.append(replace(scans[0], z=np.zeros(len(scans[0].z))))
     for scan in scans:
         vague = plus(none, replace(scan, place_sd_m=3.0 * SD_M))
-        assert np.allclose(vague.explain(poses), plus(slack, scan).explain(poses))
-        assert not np.allclose(vague.explain(poses), plus(none, scan).explain(poses))
+        assert np.allclose(vague.explain(poses).scans, plus(offsets, scan).explain(poses).scans)
+        assert not np.allclose(vague.explain(poses).scans, plus(none, scan).explain(poses).scans)
 
 
 def test_an_old_touch_fades_by_what_has_happened_since(box_model: ObservationModel) -> None:
     """An object that gives way at each touch: the same reading says less of where it is now."""
     press = se2.inverse(box_side(box_model, 0.2, 0.003))
-    memory = plus(memory_of(box_model, NOISE, Slack(0.0, SD_M)), felt(box_model, press), 1)
+    memory = plus(memory_of(box_model, NOISE, OffsetVariance(0.0, SD_M)), felt(box_model, press), 1)
     poses = np.linspace(-0.004, 0.004, 9)[:, None] * np.eye(3)[0]
-    spread = [np.ptp(replace(memory, newest=newest).explain(poses)) for newest in (1, 3, 9)]
+    spread = [np.ptp(replace(memory, newest=newest).explain(poses).scans) for newest in (1, 3, 9)]
     assert spread[0] > 1.5 * spread[1] > 1.5 * 1.2 * spread[2]
 
 
-def touched(model: ObservationModel, noise: Noise, slack: Slack) -> Memory:
+def touched(model: ObservationModel, noise: Noise, offsets: OffsetVariance) -> Memory:
     """Scans of presses and silent ones, dead taxels, floors and residues among them."""
-    rng, memory = np.random.default_rng(0), memory_of(model, noise, slack)
+    rng, memory = np.random.default_rng(0), memory_of(model, noise, offsets)
     for number in range(1, 9):
         sensor = rng.normal(size=3) * [0.05, 0.05, 1.0]
         made = contacts.synthesise(model.scene, 0.04, model.depth_max_m, 20, rng)
@@ -121,13 +124,13 @@ def touched(model: ObservationModel, noise: Noise, slack: Slack) -> Memory:
 def test_poses_that_are_none_and_no_poses_are_explained_by_something(
     box_model: ObservationModel,
 ) -> None:
-    memory = touched(box_model, Noise(), Slack(0.001, 0.001))
+    memory = touched(box_model, Noise(), OffsetVariance(0.001, 0.001))
     for value in (np.nan, np.inf, -np.inf, 1e300):
         if native.library(EXPLAIN):
-            assert memory.explain(np.full((1, 3), value)).shape == (1, 8)
-            assert memory.explain(np.diag([value] * 3)).shape == (3, 8)
-    assert memory.explain(np.empty((0, 3))).shape == (0, 8)
-    assert memory_of(box_model, Noise()).explain(np.zeros((4, 3))).shape == (4, 0)
+            assert memory.explain(np.full((1, 3), value)).scans.shape == (1, 8)
+            assert memory.explain(np.diag([value] * 3)).scans.shape == (3, 8)
+    assert memory.explain(np.empty((0, 3))).scans.shape == (0, 8)
+    assert memory_of(box_model, Noise()).explain(np.zeros((4, 3))).scans.shape == (4, 0)
 
 
 LEAST, MOST = np.array([[0.02, 0.05, 0.0, 0.1, 0.0], [0.05, 0.2, 0.005, 1.0, 1.0]])[:, :, None]
@@ -135,20 +138,25 @@ UNEVEN = np.random.default_rng(7).uniform(LEAST, MOST, (5, 32))  # of a ring's t
 
 
 @needed
-@pytest.mark.parametrize("slack", [Slack(), Slack(0.001, 0.001), Slack(0.005)])
+@pytest.mark.parametrize(
+    "offsets", [OffsetVariance(), OffsetVariance(0.001, 0.001), OffsetVariance(0.005)]
+)
 @pytest.mark.parametrize(
     "noise",
     [Noise(), Noise(0.04, sag_m=0.002, sag_sd=0.9), Noise(*UNEVEN[:2], 0.01, *UNEVEN[2:])],
     ids=["no sag", "sag", "each taxel its own"],
 )
 def test_c_explains_what_numpy_explains(
-    box_model: ObservationModel, monkeypatch: pytest.MonkeyPatch, noise: Noise, slack: Slack
+    box_model: ObservationModel,
+    monkeypatch: pytest.MonkeyPatch,
+    noise: Noise,
+    offsets: OffsetVariance,
 ) -> None:
     poses = np.random.default_rng(1).normal(size=(400, 3)) * [0.06, 0.06, 2.0]
-    by_c = touched(box_model, noise, slack).explain(poses)
+    by_c = touched(box_model, noise, offsets).explain(poses).scans
     monkeypatch.setenv(native.SWITCH, "0")
     native.library.cache_clear()
-    by_numpy = touched(box_model, noise, slack).explain(poses)
+    by_numpy = touched(box_model, noise, offsets).explain(poses).scans
     native.library.cache_clear()
     assert (by_c != by_numpy).any()
     apart = ~np.isclose(by_c, by_numpy, atol=0.01)
@@ -200,7 +208,7 @@ def touches(model: ObservationModel, n: int) -> list[Observation]:
 def ahead(model: ObservationModel, scan: Observation) -> float:
     """Nats by which the object where it is explains a scan better than anything."""
     known = plus(memory_of(model, QUIET_NOISE), scan)
-    return float(known.explain(AT)[0, 0] - known.anything[0])
+    return float(known.explain(AT).scans[0, 0] - known.background[0])
 
 
 def test_the_object_explains_its_contacts_better_than_anything_but_no_disorder(
@@ -217,22 +225,22 @@ def test_the_object_explains_its_contacts_better_than_anything_but_no_disorder(
 def test_readings_are_no_likelier_in_all_than_they_can_be(box_model: ObservationModel) -> None:
     """The mean ratio of two densities, over draws of the one below, is at most 1: also of ratios
     cut at 10, whose mean few draws tell."""
-    anything, rng = Anything(box_model, QUIET_NOISE), np.random.default_rng(2)
+    background, rng = Background(box_model, QUIET_NOISE), np.random.default_rng(2)
     for scan in touches(box_model, 5):
         h = box_model.activation(se2.inverse(scan.sensor)[None])[0]
         ratios = []
         for _ in range(100):
             z = QUIET_NOISE.draw(h, rng)
             log_p = float(QUIET_NOISE.log_density(z, h).sum())
-            ratios.append(np.exp(anything.log_density(replace(scan, z=z)) - log_p))
+            ratios.append(np.exp(background.log_density(replace(scan, z=z)) - log_p))
         assert np.minimum(ratios, 10.0).mean() < 1.0
 
 
 def test_what_is_felt_all_round_the_skin_is_alike(box_model: ObservationModel) -> None:
     """The shapes are the same about whatever side is touched, and the ring has 16 of them."""
-    anything, layout = Anything(box_model, QUIET_NOISE), box_model.layout
+    background, layout = Background(box_model, QUIET_NOISE), box_model.layout
     for scan in touches(box_model, 10):
-        turned = [anything.log_density(replace(scan, z=scan.z[turn])) for turn in layout.turns]
+        turned = [background.log_density(replace(scan, z=scan.z[turn])) for turn in layout.turns]
         assert np.ptp(turned) < 0.01
 
 

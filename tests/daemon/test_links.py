@@ -16,6 +16,7 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.likelihood import NumpyExplainer
+from taxeld.estimator.memory import Memory
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.observation import Activation, ObservationModel
@@ -166,19 +167,19 @@ def test_touches_of_two_links_find_one_object(model: ObservationModel) -> None:
     """A contact has one number on all links, and a sure belief teaches each link of its own."""
     subject = subject_of(model)
     press(subject, model, [0, 1, 0, 1, 0, 1])
-    estimate, memory = subject.estimate, subject.rule.memory
+    estimate, memory = subject.estimate, subject.belief.memory
     assert estimate.contacts == 6
     assert estimate.status == Status.CONVERGED
-    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.01
+    assert subject.belief.metric.distance(estimate.map, TRUTH) < 0.01
     assert memory.link[memory.contact].tolist() == [0, 1, 0, 1, 0, 1]
     assert memory.number[memory.contact].tolist() == [1, 2, 3, 4, 5, 6]
     lessons = [subject.taught(4, link) for link in (0, 1)]
     assert all(lesson is not None and len(lesson.z) >= 3 for lesson in lessons)
     assert subject.taught(4, 1) is None
     numpy = [NumpyExplainer(each, memory.skin.noise) for each in model.links]
-    slow = replace(memory, skin=replace(memory.skin, explainers=numpy))
-    poses = subject.rule.belief.pose
-    assert np.isclose(slow.explain(poses), memory.explain(poses), atol=0.01).mean() > 0.99
+    slow = Memory(replace(memory.skin, explainers=numpy)).adopted(memory)
+    explained = (each.explain(subject.belief.particles.pose).scans for each in (slow, memory))
+    assert np.isclose(*explained, atol=0.01).mean() > 0.99
 
 
 def test_a_link_that_never_touches_changes_nothing(model: ObservationModel) -> None:
@@ -198,7 +199,7 @@ def test_links_of_other_sizes_are_remembered_together() -> None:
     model = ObservationModel(scene, big, 0.005, [of_small])
     subject = subject_of(model)
     press(subject, model, [0, 1, 0, 1, 1, 0])
-    assert subject.rule.metric.distance(subject.estimate.map, TRUTH) < 0.01
+    assert subject.belief.metric.distance(subject.estimate.map, TRUTH) < 0.01
 
 
 def test_a_link_that_falls_silent_in_a_touch_touches_nothing_any_more(

@@ -17,7 +17,7 @@ import pytest
 import zmq
 
 from taxeld.config.file import parse
-from taxeld.estimator import mixture
+from taxeld.estimator import object_belief
 from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
 from taxeld.model.observation import Activation
@@ -99,7 +99,7 @@ class Touches:
         self._skin.t = time.time() - 9.0
         self._made = 0
         monkeypatch.setattr(time, "time", lambda: self._skin.t)
-        monkeypatch.setattr(mixture, "SURE", 0.0)  # any belief is to be searched
+        monkeypatch.setattr(object_belief, "SURE", 0.0)  # any belief is to be searched
 
     def next(self) -> Scan:
         """Another scan."""

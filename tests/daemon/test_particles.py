@@ -10,15 +10,15 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator import paper
 from taxeld.estimator import particles as pf
 from taxeld.estimator.bank import touching
-from taxeld.estimator.particles import Belief
+from taxeld.estimator.particles import Explained, Particles
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
 
 SD = np.array([0.001, 0.001, 0.02])
 
 
-def belief(log_weight: list[float]) -> Belief:
-    made = pf.equal(np.arange(3.0 * len(log_weight)).reshape(-1, 3), np.empty((len(log_weight), 0)))
+def belief(log_weight: list[float]) -> Particles:
+    made = pf.equal(np.arange(3.0 * len(log_weight)).reshape(-1, 3))
     made.log_weight = np.array(log_weight)
     pf.normalise(made)
     return made
@@ -47,15 +47,15 @@ def test_resampling_draws_each_within_one_of_its_share(values: list[float], seed
 def gaussians(*means: float) -> pf.Explain:
     """Scans that each say x is near a mean, with a sd of 1 mm, and nothing of y and θ but zero."""
 
-    def explain(poses: Poses) -> Floats:
+    def explain(poses: Poses) -> Explained:
         each = [-0.5 * (((poses - [mean, 0.0, 0.0]) / SD) ** 2).sum(axis=1) for mean in means]
-        return np.asarray(np.stack(each, axis=1))
+        return Explained(np.stack(each, axis=1), np.empty((len(poses), 0)))
 
     return explain
 
 
-def everything(told: Floats) -> Floats:
-    return np.asarray(told.sum(axis=1))
+def everything(explained: Explained) -> Floats:
+    return np.asarray(explained.scans.sum(axis=1))
 
 
 def test_moves_sample_their_target() -> None:
@@ -63,11 +63,11 @@ def test_moves_sample_their_target() -> None:
     made = pf.uniform(FilterConfig(particles=2000, half_width_m=0.01), rng())
     made.pose *= [0.4, 0.4, 0.02]
     explain, generator = gaussians(0.0), rng()
-    made.remembered = explain(made.pose)
+    made.explained = explain(made.pose)
     for _ in range(200):
         pf.rejuvenate(made, explain, everything, generator)
     assert np.allclose(made.pose.std(axis=0) / SD, 1.0, atol=0.1)
-    assert np.allclose(made.remembered, explain(made.pose))
+    assert np.allclose(made.explained.scans, explain(made.pose).scans)
 
 
 def test_occupied_cells_are_counted_once() -> None:
@@ -96,14 +96,14 @@ def samples(n: int, mean: float) -> Poses:
 
 
 @pytest.mark.parametrize("nats", [0.0, np.log(3.0), 60.0])
-def test_opinions_share_the_weight_by_their_evidence(nats: float) -> None:
+def test_importance_samples_share_the_weight_by_their_evidence(nats: float) -> None:
     one, other = (
         pf.equal(poses, gaussians(0.0)(poses)) for poses in (samples(400, 0.0), samples(100, 0.02))
     )
     both = pf.merge(one, -1.0, other, nats - 1.0)
     assert np.isclose(both.weight[:400].sum(), 1.0 / (1.0 + np.exp(nats)))
     assert np.isclose(both.weight.sum(), 1.0)
-    assert np.array_equal(both.remembered[400:], other.remembered)
+    assert np.array_equal(both.explained.scans[400:], other.explained.scans)
 
 
 def test_projection_brings_samples_onto_the_object_and_leaves_the_rest(

@@ -5,7 +5,7 @@ import pytest
 
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import SURE, Status
-from taxeld.estimator.priors import FLOOR, BeliefPrior, PriorTerm
+from taxeld.estimator.priors import FLOOR, BeliefPrior, PriorDensity
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld.prior import PosePrior, read_prior
@@ -51,7 +51,7 @@ def test_its_density_over_the_table_is_one_on_average(
     box_model: ObservationModel, theta: float | None
 ) -> None:
     metric = PoseMetric(box_model.scene)
-    made = PriorTerm(prior(theta=theta), metric, FilterConfig(half_width_m=0.5), 0.0, 1)
+    made = PriorDensity(prior(theta=theta), metric, FilterConfig(half_width_m=0.5), 0.0, 1)
     rng = np.random.default_rng(0)
     poses = rng.uniform([-0.5, -0.5, -np.pi], [0.5, 0.5, np.pi], (400_000, 3))
     assert np.exp(made.log_density(poses)).mean() == pytest.approx(1.0, abs=0.1)
@@ -59,7 +59,7 @@ def test_its_density_over_the_table_is_one_on_average(
 
 def test_alone_it_is_believed_and_never_sure(box_model: ObservationModel) -> None:
     subject = estimator(box_model)
-    subject.tell(prior(cov=[0.001, 0.001, 0.01], weight=0.95))
+    subject.take_prior(prior(cov=[0.001, 0.001, 0.01], weight=0.95))
     found = subject.estimate
     assert found.status is Status.SEARCHING
     assert 0.8 < found.p < SURE
@@ -72,10 +72,10 @@ def test_a_newer_one_takes_the_place_of_the_one_before(box_model: ObservationMod
     for times in (1, 20):
         _, subject = settled(box_model)
         for _ in range(times):
-            subject.tell(prior(x=0.15, weight=0.5))
+            subject.take_prior(prior(x=0.15, weight=0.5))
         found.append(subject.estimate)
     once, often = found
-    assert subject.rule.metric.distance(once.map, often.map) < 0.01
+    assert subject.belief.metric.distance(once.map, often.map) < 0.01
     assert once.p == pytest.approx(often.p, abs=0.05)
 
 
@@ -85,13 +85,13 @@ def test_touches_refute_a_wrong_one(box_model: ObservationModel, after: int) -> 
     subject = world.knowing()
     for side in SIDES[:after]:
         world.press(subject, side)
-    subject.tell(prior(x=0.3))
+    subject.take_prior(prior(x=0.3))
     found = world.find(subject)
-    assert subject.rule.metric.distance(found.map, TRUTH) < 0.005
-    subject.tell(prior(x=0.3))  # one that is elsewhere does not move a sure belief
+    assert subject.belief.metric.distance(found.map, TRUTH) < 0.005
+    subject.take_prior(prior(x=0.3))  # one that is elsewhere does not move a sure belief
     found = subject.estimate
     assert found.hypotheses.stands > 0.9
-    assert subject.rule.metric.distance(found.map, TRUTH) < 0.005
+    assert subject.belief.metric.distance(found.map, TRUTH) < 0.005
 
 
 SPREAD = np.array([0.003, 0.001, 0.05])

@@ -162,5 +162,5 @@ def test_a_warm_up_leaves_no_trace_in_the_belief(mug: Bundle) -> None:
         pipeline = Pipeline(config(), [mug.model.layout], [mug.model], samples)
         if warm:
             pipeline.warm_up()
-        found.append((pipeline.estimator.rule.belief.pose.tobytes(), pipeline.health()))
+        found.append((pipeline.estimator.belief.particles.pose.tobytes(), pipeline.health()))
     assert found[0] == found[1]

@@ -94,7 +94,7 @@ def test_those_particles_stay_whose_ground_explains_where_the_object_went(
     """It is pushed through its middle, and turns: its load lies to the side."""
     rng, metric = np.random.default_rng(1), PoseMetric(box_model.scene)
     truth, n = np.zeros(3), 800
-    belief = pf.equal(np.zeros((n, 3)), np.empty((n, 0)), assumed(n, rng))
+    belief = pf.equal(np.zeros((n, 3)), ground=assumed(n, rng))
     for _ in range(12):
         before = se2.compose(truth, beside(box_model, 0.0, DEPTH_M))
         after = se2.compose(truth, beside(box_model, 0.0, DEPTH_M + 0.002))

@@ -1,6 +1,6 @@
 """The work of a scan is bounded, whatever the configuration."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator import memory
 from taxeld.estimator.bank import FOLLOWED, Known
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import SEARCHED
+from taxeld.estimator.object_belief import SEARCHED
 from taxeld.estimator.scans import Field
 from taxeld.model import se2
 from taxeld.model.observation import Activation, ObservationModel
@@ -38,8 +38,12 @@ class Counted(Knowing):
         self.drawn.append(n)
         return super().propose(z, live, n, rng)
 
-    def of(self, fields: Grid, *_: Any) -> Callable[[Poses], Floats]:
-        untouched = fields[Field.SILENT].sum(axis=1, dtype=np.float64)
+    def column(self, fields: Grid) -> Grid:
+        return fields
+
+    def of(self, columns: Sequence[Grid], *_: Any) -> Callable[[Poses], Floats]:
+        silent = [column[Field.SILENT].sum(dtype=np.float64) for column in columns]
+        untouched = np.array(silent)
         likely = np.where(untouched < -1.0, 20.0 - untouched, 0.0)
 
         def explain(poses: Poses) -> Floats:
@@ -111,4 +115,4 @@ def test_a_scan_with_its_search_has_a_bounded_number_of_poses_explained(
             while subject.bank.is_behind:
                 bounded(subject.think)
         # whether the belief asks for it or not: each of its contacts has as many samples
-        assert len(set(bounded(subject.rule.search))) <= 1
+        assert len(set(bounded(subject.belief.search))) <= 1

@@ -3,7 +3,7 @@
 import numpy as np
 
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.memory import Memory, ObjectSkin, Slack
+from taxeld.estimator.memory import Memory, ObjectSkin, OffsetVariance
 from taxeld.estimator.priors import BeliefPrior
 from taxeld.estimator.scans import Arrays, Reader, ScanEvidence, scan_arrays
 from taxeld.model.noise import Noise
@@ -13,10 +13,10 @@ from taxeld.model.observation import Observation, ObservationModel
 def memory_of(
     model: ObservationModel,
     noise: Noise,
-    slack: Slack | None = None,
-    prior: BeliefPrior | None = None,
+    offsets: OffsetVariance | None = None,
+    earlier: BeliefPrior | None = None,
 ) -> Memory:
-    return Memory(ObjectSkin.of(model, noise), slack or Slack(), prior)
+    return Memory(ObjectSkin.of(model, noise), offsets or OffsetVariance(), earlier)
 
 
 def read(memory: Memory, observation: Observation, number: int = 0) -> ScanEvidence:

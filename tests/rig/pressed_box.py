@@ -102,5 +102,5 @@ def settled(model: ObservationModel) -> tuple[World, Estimator]:
     world = World(model)
     subject = world.knowing()
     estimate = world.find(subject, least=4)
-    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.003
+    assert subject.belief.metric.distance(estimate.map, TRUTH) < 0.003
     return world, subject

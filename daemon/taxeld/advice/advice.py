@@ -65,9 +65,9 @@ def places(estimator: Estimator) -> list[Mode]:
     """Where the belief has the objects: poses apart by half of what a sure estimate may be off."""
     bank, found = estimator.bank, list[Mode]()
     for k in bank.likely:
-        belief, metric = bank.rules[k].belief, bank.rules[k].metric
+        particles, metric = bank.beliefs[k].particles, bank.beliefs[k].metric
         apart_m, share = 0.5 * estimator.config.within_m, float(bank.odds.objects[k])
-        modes = metric.modes(belief.pose, belief.weight, apart_m, PLACES, len(belief))
+        modes = metric.modes(particles.pose, particles.weight, apart_m, PLACES, len(particles))
         found += [replace(mode, weight=share * mode.weight, object=k) for mode in modes]
     return sorted(found, key=lambda mode: -mode.weight)[:PLACES]
 
@@ -89,8 +89,8 @@ def _advised(memory: TouchMemory, of: Sequence[Mode], candidate: Candidate) -> A
     felt = z.any(axis=1)
     far, read = np.where(felt, way_m, FAR_M), np.zeros((len(of), len(of)))  # (truth, place)
     for k in set(number.tolist()) if felt.any() else ():
-        own, rule = number == k, estimator.bank.rules[k]
-        read[np.ix_(felt, own)] = rule.memory.foreseen(like, z[felt], sensor[felt], pose[own]).T
+        own, belief = number == k, estimator.bank.beliefs[k]
+        read[np.ix_(felt, own)] = belief.memory.foreseen(like, z[felt], sensor[felt], pose[own]).T
     told = np.maximum(-0.5 * np.square((far[:, None] - far) / WAY_SD_M), LEAST)
     told += np.maximum(TEMPER * (read - read.max(axis=1, keepdims=True)), LEAST)
     right = np.diag(told) - np.log(np.exp(told) @ weight)  # log of how much likelier the truth is

@@ -70,7 +70,7 @@ class Replay:
     @property
     def belief(self) -> tuple[Poses, Floats]:
         """Particles (N, 3) and their weights (N,), of sum 1, after the last scan."""
-        belief = self.pipeline.estimator.rule.belief
+        belief = self.pipeline.estimator.belief.particles
         return belief.pose.copy(), belief.weight.copy()
 
     def why(self, estimate: Estimate) -> Why:

@@ -14,7 +14,7 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.estimator.estimate import MODES_MAX, Hypotheses, Verdict
 from taxeld.estimator.evidence import MOVED, SWAPPED, odds
-from taxeld.estimator.mixture import Mixture
+from taxeld.estimator.object_belief import ObjectBelief
 from taxeld.estimator.scans import ScanEvidence
 from taxeld.model import contacts, se2
 from taxeld.model.contacts import Proposal
@@ -63,26 +63,26 @@ def touching(model: ObservationModel, poses: Poses) -> Poses:
 
 
 class Bank:
-    """Beliefs about K objects, by the same rule."""
+    """Beliefs about K objects, by the same belief."""
 
-    def __init__(self, rules: Sequence[Mixture], first: int = 0) -> None:
+    def __init__(self, beliefs: Sequence[ObjectBelief], first: int = 0) -> None:
         """`first`: the object that is followed until something is touched."""
-        self.rules = list(rules)
+        self.beliefs = list(beliefs)
         self._followed = [first]
         self.ruled_out: set[int] = set()
         self.due: list[int] = []  # to be tried on what is remembered, the likeliest first
         self._restarted = -1  # number of the last contact that an earlier daemon felt
-        self._best_before = np.zeros(len(rules))  # log evidence of the best when each was tried
-        self._later: list[list[ScanEvidence]] = [[] for _ in rules]  # not learned yet
+        self._best_before = np.zeros(len(beliefs))  # log evidence of the best when each was tried
+        self._later: list[list[ScanEvidence]] = [[] for _ in beliefs]  # not learned yet
         self._used = 0  # samples, by the object that is learning what is due
         self._contact = self._touches = 0  # number of the last contact, and how many there were
         self.best = first
         self._weigh()
 
     @property
-    def rule(self) -> Mixture:
+    def belief(self) -> ObjectBelief:
         """The belief about the likeliest object."""
-        return self.rules[self.best]
+        return self.beliefs[self.best]
 
     @property
     def verdict(self) -> Verdict:
@@ -92,25 +92,25 @@ class Bank:
             here *= 1.0 - MOVED
             stands = left.stands * (1.0 - MOVED)
             left = Hypotheses(stands, left.moved + left.stands - stands, left.other)
-        return Verdict(self.rule.place, here, left)
+        return Verdict(self.belief.place, here, left)
 
     def restarted(self, contact: int) -> None:
         """All so far, up to this contact, was felt by an earlier daemon: the object may have been
         moved since."""
         self._restarted = contact
-        for rule in self.rules:
-            rule.memory = replace(rule.memory, moves={contact + 1: float(np.log(MOVED))})
+        for belief in self.beliefs:
+            belief.memory = replace(belief.memory, moves={contact + 1: float(np.log(MOVED))})
 
     def modes(self) -> tuple[Mode, ...]:
         """The heaviest modes of all objects; those of the likeliest object come first."""
-        own = self.rule.place.modes
-        if len(self.rules) == 1:
+        own = self.belief.place.modes
+        if len(self.beliefs) == 1:
             return own
         share = self.odds.objects / self.odds.objects.sum()
         every = [
             replace(mode, weight=float(share[k]) * mode.weight, object=k)
             for k in self.likely
-            for mode in self.rules[k].place.modes
+            for mode in self.beliefs[k].place.modes
         ]
         rest = sorted(every[len(own) :], key=lambda mode: -mode.weight)
         return (*every[: len(own)], *rest)[:MODES_MAX]
@@ -118,7 +118,7 @@ class Bank:
     @property
     def likely(self) -> list[int]:
         """The likeliest object, and others that are not much less likely."""
-        if len(self.rules) == 1:
+        if len(self.beliefs) == 1:
             return [self.best]
         others = (k for k in self._by_odds() if k != self.best)
         # one that is yet to be tried may seem likelier
@@ -127,20 +127,20 @@ class Bank:
     def follow(self, before: Observation, after: Observation) -> None:
         """Move the beliefs with an object that is pushed from one scan to the next."""
         for k in self._followed:
-            self.rules[k].follow(before, after)
+            self.beliefs[k].follow(before, after)
 
     def take(self, scan: ScanEvidence) -> tuple[int, float]:
         """Learn from a scan; → the number of samples injected, and the scan's log evidence for the
         object that was the likeliest before."""
         injected, evidence = 0, 0.0
-        before, is_new = self.rule.weighed.log_z, scan.is_contact and scan.number > self._contact
+        before, is_new = self.belief.evidence.log_z, scan.is_contact and scan.number > self._contact
         passed = {*self._followed, *self.ruled_out}
         waiting = [k for k in self._by_odds() if k not in passed]
         if self._touches:
             for k in waiting:
                 self._later[k] = [*self._later[k], scan][-LATER_MAX:]
         for k in self._followed:
-            samples, told = self.rules[k].take(scan)
+            samples, told = self.beliefs[k].take(scan)
             injected += samples
             evidence = told if k == self.best else evidence
         if is_new:
@@ -155,10 +155,10 @@ class Bank:
             self.due += sorted(self.ruled_out)
         return injected, evidence
 
-    def tell(self, pose: PosePrior, contacts: int, of: Sequence[int]) -> None:
+    def take_prior(self, pose: PosePrior, contacts: int, of: Sequence[int]) -> None:
         """Take a prior of the objects `of`, after this number of contacts."""
         for k in of:
-            self.rules[k].tell(pose, contacts)
+            self.beliefs[k].take_prior(pose, contacts)
         self._weigh()
 
     @property
@@ -176,39 +176,39 @@ class Bank:
         place; → the number of samples used, once it has learned them all."""
         if self.due:
             k = self.due[0]
-            rule, later = self.rules[k], self._later[k]
+            belief, later = self.beliefs[k], self._later[k]
             if k in self.ruled_out or not later:
-                self._used = rule.adopt(self.rule.memory)
+                self._used = belief.adopt(self.belief.memory)
                 later.clear()
             else:
-                self._used += rule.take(later.pop(0))[0]
+                self._used += belief.take(later.pop(0))[0]
             if later:
                 return 0
             del self.due[0]
             samples, self._used = self._used, 0
         else:
             opens = self._opens()
-            samples = 0 if opens is None else self.rules[opens].search()
+            samples = 0 if opens is None else self.beliefs[opens].search()
         if samples:
             self._weigh()
         return samples
 
     def _by_odds(self) -> list[int]:
         """All objects, the likeliest first."""
-        return sorted(range(len(self.rules)), key=lambda k: -self.odds.objects[k])
+        return sorted(range(len(self.beliefs)), key=lambda k: -self.odds.objects[k])
 
     def _opens(self) -> int | None:
         """The likeliest followed object whose belief is to be searched."""
         likely = (k for k in self.likely if k in self._followed)
-        return next((k for k in likely if self.rules[k].is_open), None)
+        return next((k for k in likely if self.beliefs[k].is_open), None)
 
     def _weigh(self) -> None:
         """Find how likely each object is, which ones to follow, and which are ruled out."""
-        best, untried = self.rule.weighed, set(self.due) - self.ruled_out
+        best, untried = self.belief.evidence, set(self.due) - self.ruled_out
         # an object that is yet to be tried is as likely as it was, in relation to the best
         each = [
-            rule.weighed.shifted(best, self._best_before[k]) if k in untried else rule.weighed
-            for k, rule in enumerate(self.rules)
+            belief.evidence.shifted(best, self._best_before[k]) if k in untried else belief.evidence
+            for k, belief in enumerate(self.beliefs)
         ]
         if not self._touches:
             each = [best] * len(each)
@@ -223,7 +223,7 @@ class Bank:
             self._followed = [k for k in self._followed if k not in self.ruled_out]
         any_known = float(np.logaddexp.reduce([one.log_z for one in each])) - np.log(len(each))
         share = self.odds.objects / self.odds.objects.sum()
-        for k, rule in enumerate(self.rules):
-            rule.share = float(share[k])
+        for k, belief in enumerate(self.beliefs):
+            belief.share = float(share[k])
             if k not in untried:  # another object may have been here before
-                rule.log_z = float(np.logaddexp(each[k].log_z, any_known + SWAPPED))
+                belief.log_z = float(np.logaddexp(each[k].log_z, any_known + SWAPPED))

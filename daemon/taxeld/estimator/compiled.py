@@ -3,6 +3,7 @@ but for rounding, and without temporary arrays."""
 
 import ctypes
 import math
+from collections.abc import Sequence
 from ctypes import c_double, c_int64, c_void_p
 from typing import Any
 
@@ -97,12 +98,17 @@ class CompiledExplainer:
             farthest_rates=FARTHEST_RATES,
         )
 
-    def of(self, fields: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Explain:
+    def column(self, fields: Grid) -> Grid:
+        """The first `FIELDS` of a scan's fields (…, M) in the order of the runs."""
+        return fields[:FIELDS].take(self._order, axis=1)
+
+    def of(
+        self, columns: Sequence[Grid], sensor: Poses, variance: Floats, silent: Bools
+    ) -> Explain:
         """As `NumpyExplainer.of`."""
-        shape = FIELDS, *fields.shape[1:]
-        laid = np.zeros(math.prod(shape) + LANES, np.float32)
-        out = laid[:-LANES].reshape(shape)
-        np.take(fields[:FIELDS], self._order, axis=2, out=out, mode="clip")  # avoids a copy
+        shape = FIELDS, len(columns), len(self._order)
+        laid = np.zeros(math.prod(shape) + LANES, np.float32)  # C may read LANES beyond
+        np.stack(columns, axis=1, out=laid[:-LANES].reshape(shape))
         held = laid, sensor, variance, silent  # arrays that the pointers point into, kept alive
         scans = _Scans(*(array.ctypes.data for array in held), len(sensor))
 

@@ -9,7 +9,7 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
-from taxeld.estimator.particles import Belief
+from taxeld.estimator.particles import Particles
 from taxeld.model.noise import normal_cdf
 from taxeld.model.symmetry import Mode, PoseMetric
 
@@ -103,7 +103,7 @@ class Verdict:
         return self.here * self.place.within
 
 
-def placed(belief: Belief, metric: PoseMetric, config: FilterConfig) -> Place:
+def placed(belief: Particles, metric: PoseMetric, config: FilterConfig) -> Place:
     """The place of an object that is where its belief has it."""
     weight, radius_m = belief.weight, MODE_RADIUS_M * metric.scale
     modes = metric.modes(belief.pose, weight, radius_m, MODES_MAX, MODE_CANDIDATES)

@@ -15,8 +15,8 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator.bank import Bank, Known
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status, status
-from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import EstimatorCounters, Intake, News
+from taxeld.estimator.object_belief import ObjectBelief
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.scans import VERSION, Reader, ScanEvidence, Used, noise_of
 from taxeld.model import se2
@@ -24,7 +24,7 @@ from taxeld.model.contacts import Proposal
 from taxeld.model.observation import Activation, Lesson, Observation, ObservationModel
 from taxeld.prior import PosePrior
 
-RULES = {"paper": Paper, "mixture": Mixture}
+RULES = {"paper": Paper, "mixture": ObjectBelief}
 LOST_S = 1.0  # a link that is heard no more for so long, while another is, touches nothing
 
 
@@ -83,7 +83,7 @@ class Estimator:
     def scans(self) -> Sequence[ScanEvidence]:
         """What the belief remembers, to be learned by another estimator; never changed: each scan
         makes another one."""
-        return self.rule.memory.scans
+        return self.belief.memory.scans
 
     @cached_property
     def digest(self) -> str:
@@ -98,9 +98,9 @@ class Estimator:
         return made.hexdigest()[:16]
 
     @property
-    def rule(self) -> Mixture:
+    def belief(self) -> ObjectBelief:
         """The belief about the likeliest object."""
-        return self.bank.rule
+        return self.bank.belief
 
     def on_scan(
         self, activation: Activation, sensor: Poses, link: int = 0, *, thinks: bool = True
@@ -154,12 +154,12 @@ class Estimator:
         if self.estimate.status != Status.CONVERGED or number - before < least:
             return None
         self._taught[link] = number
-        return self.rule.expected(before, link)
+        return self.belief.expected(before, link)
 
-    def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> None:
+    def take_prior(self, pose: PosePrior, of: Sequence[int] | None = None) -> None:
         """Take a prior of the objects numbered `of`, else of any, in place of the one before; the
         paper's rule takes none."""
-        self.bank.tell(pose, self._contacts, range(len(self.known)) if of is None else of)
+        self.bank.take_prior(pose, self._contacts, range(len(self.known)) if of is None else of)
         self.estimate = self._estimate(self.estimate.t)
 
     @property
@@ -227,7 +227,7 @@ class Estimator:
             return False
         if not observation.live.any():
             return True
-        best = self.rule.place.modes[0].pose
+        best = self.belief.place.modes[0].pose
         model, _ = self.known[self.bank.best].on(observation.link)
         pressed, _ = model.pressed(se2.compose(se2.inverse(observation.sensor), best)[None])
         expected = self._contacts > 0 and len(pressed) > 0

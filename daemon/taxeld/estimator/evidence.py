@@ -5,8 +5,8 @@ The object may have moved between two contacts, so the newest pose explains the 
 before one is a number (Bayesian change points, Adams & MacKay 2007). A contact may also mean
 nothing.
 
-All of it is in relation to readings without the object (`anything`). If another object was touched,
-its pose is unknown; each contact is then scored alone.
+All of it is in relation to readings without the object (`background`). If another object was
+touched, its pose is unknown; each contact is then scored alone.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from taxeld.arrays import Bools, Floats
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import Hypotheses
-from taxeld.estimator.particles import Belief
+from taxeld.estimator.particles import Explained, Particles
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import CONTINUOUS
 from taxeld.model.symmetry import PoseMetric
@@ -39,35 +39,36 @@ class Runs:
     """K remembered scans in R steps: a contact, or the silence since the contact before."""
 
     step: NDArray[np.intp]  # (R,) numbers of the contacts
-    shares: Floats  # (terms, 2 R) a scan's share in its step's contact, then in its step's silence
-    usual: Floats  # (2 R,) log-likelihoods of the same without this object
+    shares: Floats  # (K, 2 R) a scan's share in its step's contact, then in its step's silence
+    of_priors: Floats  # (P, 2 R) 1 where a prior counts
+    background: Floats  # (2 R,) log-likelihoods of the scans without this object
     touched: Bools  # (R,) whether a step has a contact
     begun: Floats  # (R,) log prior of a run from each step on, with the evidence before it
     open: Floats  # (R,) the same; −inf where silence alone would tell of a new pose
-    is_known: bool = False  # whether a prior tells where the object was before the first step
+    is_known: bool = False  # whether an earlier belief says where the object was before
 
-    def each(self, explained: Floats) -> Floats:
-        """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""
-        told, steps = explained @ self.shares - self.usual, len(self.begun)
-        least = np.where(self.touched, LEAST, -np.inf)
-        met = np.logaddexp(told[:, :steps], least) + told[:, steps:]
+    def each(self, explained: Explained) -> Floats:
+        """Log-densities (N, R) of poses by run."""
+        log_p = explained.scans @ self.shares + explained.priors @ self.of_priors - self.background
+        least, steps = np.where(self.touched, LEAST, -np.inf), len(self.begun)
+        met = np.logaddexp(log_p[:, :steps], least) + log_p[:, steps:]
         return np.asarray(met[:, ::-1].cumsum(axis=1)[:, ::-1] + self.open)
 
-    def support(self, explained: Floats) -> Floats:
-        """Log-density of poses, up to the uniform prior's: explained (N, terms) → (N,)."""
-        if not len(self.begun):  # nothing is remembered but a prior, if that
-            return np.asarray(explained.sum(axis=1))
+    def support(self, explained: Explained) -> Floats:
+        """Log-density (N,) of poses, up to the uniform prior's."""
+        if not len(self.begun):  # nothing is remembered but an earlier belief, if that
+            return np.asarray(explained.priors.sum(axis=1))
         each = self.each(explained)
         top = each.max(axis=1)
         return np.asarray(top + np.log(np.exp(each - top[:, None]).sum(axis=1)))
 
 
-def inherited(belief: Belief, before: Runs, fewer: Runs, explained: Floats) -> Floats:
-    """Nats (R,) by which each run of `fewer` scans must gain, so that it keeps its share of a
-    belief of all scans. A run whose first contact is forgotten hands its share to the next one.
-    `explained` (N, terms) is of the fewer scans."""
-    known = belief.log_weight - before.support(belief.remembered)
-    held = np.logaddexp.reduce(before.each(belief.remembered) + known[:, None])
+def inherited(particles: Particles, before: Runs, fewer: Runs, explained: Explained) -> Floats:
+    """Nats (R,) by which each run of `fewer` scans must gain, so that it keeps its share of
+    particles of all scans. A run whose first contact is forgotten hands its share to the next one.
+    `explained`: by the fewer scans."""
+    known = particles.log_weight - before.support(particles.explained)
+    held = np.logaddexp.reduce(before.each(particles.explained) + known[:, None])
     left = np.logaddexp.reduce(fewer.each(explained) + known[:, None])
     heirs = np.flatnonzero(np.isfinite(left))
     shares, heir = np.full(len(heirs), -np.inf), np.searchsorted(fewer.step[heirs], before.step)
@@ -102,7 +103,7 @@ UNTOUCHED = ObjectEvidence(0.0, -np.inf, np.empty(0), 1.0)  # nothing speaks aga
 
 
 class ModelEvidence:
-    """Of beliefs about one object on one skin."""
+    """Of particles of one object on one skin."""
 
     def __init__(self, model: ObservationModel, metric: PoseMetric) -> None:
         scene, self._metric = model.scene, metric
@@ -116,19 +117,19 @@ class ModelEvidence:
         self._log_cells = float(np.log(cells))
         self.log_volume = self._log_cells + float(np.log(self._cell.prod()))
 
-    def of(self, belief: Belief, runs: Runs) -> float:
+    def of(self, particles: Particles, runs: Runs) -> float:
         """log ∫ ∏ p(z_k | q) dq over all poses that touch: the mean logarithm of the integrand and
-        the belief's entropy, measured by the cells that it occupies."""
-        support = float(belief.weight @ runs.support(belief.remembered))
-        cells = pf.occupied(self._metric.reduced(belief.pose), self._cell)
+        the particles' entropy, measured by the cells that they occupy."""
+        support = float(particles.weight @ runs.support(particles.explained))
+        cells = pf.occupied(self._metric.reduced(particles.pose), self._cell)
         return support + float(np.log(cells)) - self._log_cells
 
-    def weighed(self, belief: Belief, runs: Runs) -> ObjectEvidence:
-        """The evidence of a belief, and of what may be instead of it."""
-        found = self.of(belief, runs)
-        each = runs.each(belief.remembered)
+    def weighed(self, particles: Particles, runs: Runs) -> ObjectEvidence:
+        """The evidence of particles, and of what may be instead of them."""
+        found = self.of(particles, runs)
+        each = runs.each(particles.explained)
         each = np.exp(each - each.max(axis=1, keepdims=True))
-        stood = min(float(belief.weight @ (each[:, 0] / each.sum(axis=1))), 1.0)
+        stood = min(float(particles.weight @ (each[:, 0] / each.sum(axis=1))), 1.0)
         if np.count_nonzero(runs.touched) < 2 and not runs.is_known:
             return ObjectEvidence(found, -np.inf, np.array([OTHER]), stood, is_first=True)
         other: Floats = runs.begun.copy()

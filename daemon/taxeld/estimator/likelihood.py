@@ -7,7 +7,7 @@ climbed by Gauss-Newton steps. Three nodes along it are summed, with Laplace's i
 each. A silent scan rules out only presses deeper than its offset could hide.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -156,9 +156,16 @@ class NumpyExplainer:
     def __init__(self, model: ObservationModel, noise: Noise) -> None:
         self._model, self._noise = model, noise
 
-    def of(self, fields: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Explain:
-        """What pressed taxels add to log p(scan | pose) of K scans: `fields` (FIELDS, K, M) at the
-        sensor's poses (K, 3). `variance` (K,) of the offsets is in m²; `silent` (K,)."""
+    def column(self, fields: Grid) -> Grid:
+        """A scan's fields (FIELDS, M) as `of` takes them."""
+        return fields
+
+    def of(
+        self, columns: Sequence[Grid], sensor: Poses, variance: Floats, silent: Bools
+    ) -> Explain:
+        """What pressed taxels add to log p(scan | pose) of K scans at the sensor's poses (K, 3).
+        `variance` (K,) of the offsets is in m²; `silent` (K,)."""
+        fields = np.stack(columns, axis=1)
 
         def explained(poses: Poses) -> Floats:
             touches = self.touches(fields, sensor, variance, silent, poses)
@@ -169,7 +176,7 @@ class NumpyExplainer:
     def touches(
         self, fields: Grid, sensor: Poses, variance: Floats, silent: Bools, poses: Poses
     ) -> Touches:
-        """Scans as of `of`, each with each of the poses (N, 3)."""
+        """Scans as of `of`, their fields (FIELDS, K, M), each with each of the poses (N, 3)."""
         seen, n = se2.compose(se2.inverse(poses), sensor[:, None]).reshape(-1, 3), len(poses)
         loose, quiet = np.repeat(variance, n), np.repeat(silent, n)
         return Touches(self._model, self._noise, fields, seen, loose, quiet)

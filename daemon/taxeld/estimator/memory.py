@@ -5,7 +5,7 @@ explain them all (after the memory unscented particle filter, Vezzani et al. 201
 remembered beside contacts: where the skin met nothing, the object is not.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import compress
@@ -17,7 +17,8 @@ from taxeld.arrays import Bools, Floats, Grid, Poses
 from taxeld.estimator.compiled import Explainer, explainer
 from taxeld.estimator.evidence import HAZARD, SWAPPED, Runs
 from taxeld.estimator.likelihood import Explain, NumpyExplainer
-from taxeld.estimator.priors import BeliefPrior, PriorTerm
+from taxeld.estimator.particles import Explained
+from taxeld.estimator.priors import BeliefPrior, PriorDensity
 from taxeld.estimator.scans import Field, ScanEvidence, fields_of
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Lesson, Observation, ObservationModel
@@ -25,15 +26,15 @@ from taxeld.model.response import LEAST_RATE, sagging
 
 
 @dataclass(frozen=True, slots=True)
-class Slack:
-    """How far a remembered scan may be off, in the plane."""
+class OffsetVariance:
+    """Of the offsets by which remembered scans may be off, in the plane."""
 
     robot_m: float = 0.0  # sd of the sensor's reported place, one draw for a whole contact
     nudge_m: float = 0.0  # sd of the object's motion at each later contact
     scale: float = 1.0  # factor on both, fitted to the contacts
 
-    def variance(self, age: NDArray[np.intp]) -> Floats:
-        """Variance [m²] of scans with `age` (K,) later contacts → (K,)."""
+    def of(self, age: NDArray[np.intp]) -> Floats:
+        """Of scans with `age` (K,) later contacts → (K,) [m²]."""
         return np.asarray(self.scale**2 * (self.robot_m**2 + self.nudge_m**2 * age))
 
 
@@ -49,17 +50,22 @@ class ObjectSkin:
     def of(cls, model: ObservationModel, noise: Noise) -> "ObjectSkin":
         return cls(model.links, noise, [explainer(each, noise) for each in model.links])
 
+    def column(self, scan: ScanEvidence) -> Grid:
+        """A scan as its link's explainer takes it."""
+        return self.explainers[scan.observation.link].column(scan.fields)
+
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """K scans to be explained by poses of the object in the world, and priors for what was known
-    before them or was told. It never changes: what is learned makes another one."""
+    """K scans to be explained by poses of the object in the world, and priors. It never changes:
+    what is learned makes another one."""
 
     skin: ObjectSkin
-    slack: Slack = Slack()
-    prior: BeliefPrior | None = None  # of all before the first scan
-    term: PriorTerm | None = None  # a prior that was told
+    offsets: OffsetVariance = OffsetVariance()
+    earlier: BeliefPrior | None = None  # what was known before the first scan
+    prior: PriorDensity | None = None  # that was given
     scans: Sequence[ScanEvidence] = ()
+    columns: Sequence[Grid] = ()  # of the scans, as the explainers lay them out
     newest: int = 0  # number of the newest contact
     before: dict[int, float] = field(default_factory=dict)  # log evidence of all before a step
     # log probability that the object moved before a step, where it is not the usual
@@ -69,9 +75,9 @@ class Memory:
         return len(self.scans)
 
     @property
-    def terms(self) -> int:
-        """Columns of `explain`: of the prior, of the told one, if there are, and of scans."""
-        return len(self) + (self.term is not None) + (self.prior is not None)
+    def priors(self) -> list[BeliefPrior | PriorDensity]:
+        """The P priors."""
+        return [each for each in (self.earlier, self.prior) if each is not None]
 
     @cached_property
     def contact(self) -> Bools:
@@ -97,12 +103,12 @@ class Memory:
     def variance(self) -> Floats:
         """(K,) variance of each scan's offset [m²]."""
         place_m2 = np.array([scan.observation.place_sd_m**2 for scan in self.scans])
-        return np.asarray(self.slack.variance(self.newest - self.number) + place_m2)
+        return np.asarray(self.offsets.of(self.newest - self.number) + place_m2)
 
     @cached_property
-    def anything(self) -> Floats:
+    def background(self) -> Floats:
         """(K,) log p(scan | whatever was pressed, or nothing)."""
-        return np.array([scan.anything for scan in self.scans])
+        return np.array([scan.background for scan in self.scans])
 
     @cached_property
     def _untouched(self) -> Floats:
@@ -126,17 +132,15 @@ class Memory:
     @cached_property
     def runs(self) -> Runs:
         """The runs of the remembered scans."""
-        term, silent = self.term, ~self.contact
-        of_all = [scan.step for scan in self.scans] + ([] if term is None else [term.step])
+        prior, is_known = self.prior, self.earlier is not None
+        of_all = [scan.step for scan in self.scans] + ([] if prior is None else [prior.step])
         steps, which = np.unique(np.array(of_all, np.intp), return_inverse=True)
-        known, r = self.terms - len(self), len(steps)
-        prior = int(self.prior is not None)
-        shares = np.zeros((self.terms, 2 * r))
-        shares[:prior, r : r + 1] = 1.0  # the prior counts in the first step
-        shares[prior:known, r + which[len(self) :]] = 1.0
-        which = which[: len(self)]
-        shares[known + np.arange(len(self)), which + r * silent] = self.share
-        usual = self.anything @ shares[known:]
+        k, r = len(self), len(steps)
+        shares, of_priors = np.zeros((k, 2 * r)), np.zeros((len(self.priors), 2 * r))
+        of_priors[: int(is_known), r : r + 1] = 1.0  # what was known before is of the first step
+        of_priors[int(is_known) :, r + which[k:]] = 1.0
+        which = which[:k]
+        shares[np.arange(k), which + r * ~self.contact] = self.share
         touched = np.zeros(r, np.bool_)
         touched[which[self.contact]] = True
         usually = float(np.log(HAZARD))
@@ -146,34 +150,35 @@ class Memory:
         begun[:1] = 0.0  # evidence is of the remembered scans alone
         opens = touched.copy()
         opens[:1] = True
-        if term is not None:
-            at = int(np.searchsorted(steps, term.step))
+        if prior is not None:
+            at = int(np.searchsorted(steps, prior.step))
             if not touched[at]:  # evidence is in relation to poses that touch, and none did yet
                 opens[at] = True
-                begun[at] -= (at > 0) * term.log_untouched
-        return Runs(
-            steps, shares, usual, touched, begun, np.where(opens, begun, -np.inf), prior > 0
-        )
+                begun[at] -= (at > 0) * prior.log_untouched
+        background, opened = self.background @ shares, np.where(opens, begun, -np.inf)
+        return Runs(steps, shares, of_priors, background, touched, begun, opened, is_known)
 
     def plus(self, scan: ScanEvidence, log_z: float = 0.0) -> "Memory":
         """A memory of one scan more. `log_z`: log evidence of all that is remembered so far."""
         return replace(
             self,
             scans=(*self.scans, scan),
+            columns=(*self.columns, self.skin.column(scan)),
             newest=max(self.newest, scan.number),
             before={scan.step: log_z} | self.before,
         )
 
-    def told(self, term: PriorTerm, log_z: float) -> "Memory":
-        """The same with a prior, in place of the one that was told before. `log_z`: as of
+    def with_prior(self, prior: PriorDensity, log_z: float) -> "Memory":
+        """The same with a prior in place of the one that was given before. `log_z`: as of
         `plus`."""
-        return replace(self, term=term, before={term.step: log_z} | self.before)
+        return replace(self, prior=prior, before={prior.step: log_z} | self.before)
 
-    def only(self, kept: Iterable[bool]) -> "Memory":
+    def only(self, kept: Bools) -> "Memory":
         """A memory of the scans in the mask `kept` (K,)."""
-        scans = tuple(compress(self.scans, kept))
-        steps = {scan.step for scan in scans} | ({self.term.step} if self.term else set())
-        return replace(self, scans=scans, before={step: self.before[step] for step in steps})
+        scans, columns = tuple(compress(self.scans, kept)), tuple(compress(self.columns, kept))
+        steps = {scan.step for scan in scans} | ({self.prior.step} if self.prior else set())
+        before = {step: self.before[step] for step in steps}
+        return replace(self, scans=scans, columns=columns, before=before)
 
     def after_loss(self, gained: Floats) -> "Memory":
         """The same with evidence of all before each step that is larger by `gained` (R,) nats, in
@@ -185,38 +190,35 @@ class Memory:
         }
         return replace(self, before=before)
 
-    def anew(self, prior: BeliefPrior | None = None) -> "Memory":
-        """An empty memory of the same slack, with what was known before."""
-        return Memory(self.skin, self.slack, prior)
+    def anew(self, earlier: BeliefPrior | None = None) -> "Memory":
+        """An empty memory with the same variance of offsets, and with what was known before."""
+        return Memory(self.skin, self.offsets, earlier)
 
     def adopted(self, other: "Memory") -> "Memory":
-        """A memory for this object of the scans that another object's has, and of their slack."""
-        first, before = min(other.before, default=0), dict[int, float]()
-        if self.term is not None:
-            before[self.term.step] = other.before.get(self.term.step, 0.0)
+        """A memory for this object of the scans and the variance that another object's has."""
+        first, prior, before = min(other.before, default=0), self.prior, dict[int, float]()
+        if prior is not None:
+            before[prior.step] = other.before.get(prior.step, 0.0)
         before |= {k: z + SWAPPED * (k > first) for k, z in other.before.items()}
-        return replace(other, skin=self.skin, prior=None, term=self.term, before=before)
+        columns = tuple(map(self.skin.column, other.scans))
+        made = replace(other, skin=self.skin, columns=columns, before=before)
+        return replace(made, earlier=None, prior=prior)
 
-    def of_scans(self, explained: Floats) -> Floats:
-        """Columns of the scans alone: (…, terms) as from `explain` → (…, K)."""
-        return explained[..., self.terms - len(self) :]
-
-    def explain(self, poses: Poses) -> Floats:
-        """Log-densities of the prior, and of the told one, if there are, and log p(scan | pose)
-        over the live taxels of each scan: poses (N, 3) → (N, terms)."""
+    def explain(self, poses: Poses) -> Explained:
+        """How well poses (N, 3) explain the scans and the priors."""
         met = np.empty((len(poses), len(self)))
         for at, explain in self._explained:
             met[:, at] = explain(poses)
         met += self._untouched
-        known = [each.log_density(poses) for each in (self.prior, self.term) if each is not None]
-        return np.column_stack([*known, met]) if known else met
+        known = [each.log_density(poses) for each in self.priors]
+        return Explained(met, np.array(known).reshape(len(known), len(poses)).T)
 
     def explain_next(self, scan: ScanEvidence, poses: Poses) -> Floats:
         """log p(scan | pose) of a scan that comes next: poses (N, 3) → (N,)."""
         seen, age = scan.observation, np.array([max(self.newest - scan.number, 0)])
-        variance = self.slack.variance(age) + seen.place_sd_m**2
+        variance = self.offsets.of(age) + seen.place_sd_m**2
         explain = self.skin.explainers[seen.link].of(
-            scan.fields[:, None], seen.sensor[None], variance, np.array([not scan.is_contact])
+            [self.skin.column(scan)], seen.sensor[None], variance, np.array([not scan.is_contact])
         )
         return np.asarray(explain(poses)[:, 0] + scan.untouched)
 
@@ -228,16 +230,17 @@ class Memory:
 
     def _explainer(self, link: int, at: NDArray[np.intp]) -> Explain:
         """Explains the scans number `at` of a link."""
-        fields = np.stack([self.scans[k].fields for k in at.tolist()], axis=1)
-        silent = ~self.contact[at]
-        return self.skin.explainers[link].of(fields, self.sensor[at], self.variance[at], silent)
+        columns, silent = [self.columns[k] for k in at.tolist()], ~self.contact[at]
+        return self.skin.explainers[link].of(columns, self.sensor[at], self.variance[at], silent)
 
     def foreseen(self, like: Observation, z: Floats, sensor: Poses, poses: Poses) -> Floats:
         """log p(scan | pose) of scans that may come: activations z (S, M) at the sensor's poses (S,
         3), of a skin in the state in which it was at `like`, and poses (N, 3) → (N, S)."""
         fields = fields_of(z, like, like.noise or self.skin.noise)
-        variance = np.full(len(z), self.slack.variance(np.zeros(1, np.intp))[0])
-        explain = self.skin.explainers[like.link].of(fields, sensor, variance, z.max(axis=1) <= 0.0)
+        variance = np.full(len(z), self.offsets.of(np.zeros(1, np.intp))[0])
+        explainer = self.skin.explainers[like.link]
+        columns = list(map(explainer.column, np.moveaxis(fields, 1, 0)))
+        explain = explainer.of(columns, sensor, variance, z.max(axis=1) <= 0.0)
         return np.asarray(explain(poses) + fields[Field.SILENT].sum(axis=1, dtype=np.float64))
 
     def contacts_at(self, poses: Poses, link: int = 0) -> Lesson:

@@ -1,11 +1,11 @@
-"""The particle filter: a belief over object poses in the world, and the steps that change it.
+"""The particle filter: weighted poses of an object in the world, and the steps that change them.
 
 Particles are a structure of arrays with log-weights; each step is a function of its own.
 
 A sample of p(q | contact) takes no other scan into account. The paper still gives it the mean
-weight, so a right belief can lose to samples that explain only the present contact (`paper`). Here
-the samples are first weighed by all that is remembered. They are then a belief of their own, an
-opinion, which is merged with the belief by its evidence.
+weight, so right particles can lose to samples that explain only the present contact (`paper`). Here
+samples are importance samples: they are weighed by all that is remembered, and then merged with the
+particles by their evidence.
 """
 
 from collections.abc import Callable
@@ -19,18 +19,12 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.model import se2
 
-Explain = Callable[[Poses], Floats]
-"""How well poses (N, 3) explain the remembered scans: (N, terms) as in `Belief.remembered`."""
-
-Support = Callable[[Floats], Floats]
-"""The log-density of poses by what they explain: (N, terms) → (N,)."""
-
 RESAMPLE_BELOW = 0.5  # share of N: particles are resampled below this effective sample size
 MOVE = np.array([0.002, 0.002, 0.02])  # m, m, rad: sd of a random step, times 2^u
 MOVE_OCTAVES = (-2.5, 1.5)  # range of u: coarse steps separate the copies, fine ones settle them
 # factors on the difference of two other particles, for half of the steps
 DIFFERENCES = np.array([0.3, 0.7, 1.0])
-KLD_ERROR = 0.05  # nats between a wide belief and its particles
+KLD_ERROR = 0.05  # nats between a wide density and its particles
 CELL = np.array([0.01, 0.01, np.radians(10.0)])  # m, m, rad: cells of SE(2)
 
 
@@ -51,13 +45,27 @@ class Room(NamedTuple):
         return np.asarray(np.sqrt(x * x + y * y))
 
 
+class Explained(NamedTuple):
+    """Log-densities by which N poses explain what is remembered."""
+
+    scans: Floats  # (N, K) log p(scan | pose) over the live taxels
+    priors: Floats  # (N, P)
+
+
+Explain = Callable[[Poses], Explained]
+"""How well poses (N, 3) explain what is remembered."""
+
+Support = Callable[[Explained], Floats]
+"""The log-density (N,) of poses by what they explain."""
+
+
 @dataclass(slots=True)
-class Belief:
+class Particles:
     """N weighted poses; log-weights are normalised (their exponentials sum to 1)."""
 
     pose: Poses  # (N, 3) world frame
     log_weight: Floats  # (N,)
-    remembered: Floats  # (N, terms) as `Memory.explain` has them
+    explained: Explained
     ground: Floats  # (N, K) assumptions on sliding; K = 0 without motion
 
     def __len__(self) -> int:
@@ -69,60 +77,62 @@ class Belief:
         return np.exp(self.log_weight)
 
 
-def uniform(config: FilterConfig, rng: np.random.Generator) -> Belief:
-    """A belief that knows nothing: poses over `filter`'s square and all turns, without memory."""
+def uniform(config: FilterConfig, rng: np.random.Generator) -> Particles:
+    """Particles that know nothing: poses over `filter`'s square and all turns, without memory."""
     (x, y), half_m = config.centre_m, config.half_width_m
     low, high = [x - half_m, y - half_m, -np.pi], [x + half_m, y + half_m, np.pi]
-    poses = rng.uniform(low, high, (config.particles, 3))
-    return equal(poses, np.empty((config.particles, 0)))
+    return equal(rng.uniform(low, high, (config.particles, 3)))
 
 
-def equal(pose: Poses, remembered: Floats, ground: Floats | None = None) -> Belief:
-    """Equally weighted poses (N, 3) with log-likelihoods `remembered` (N, terms) and `ground` (N,
-    K)."""
-    n = len(pose)
-    ground = np.empty((n, 0)) if ground is None else ground
-    return Belief(pose, np.full(n, -np.log(n)), remembered, ground)
+def equal(
+    pose: Poses, explained: Explained | None = None, ground: Floats | None = None
+) -> Particles:
+    """Equally weighted poses (N, 3) and what they explain; `ground` (N, K)."""
+    n, none = len(pose), np.empty((len(pose), 0))
+    explained = explained or Explained(none, none)
+    return Particles(pose, np.full(n, -np.log(n)), explained, none if ground is None else ground)
 
 
-def effective_sample_size(belief: Belief) -> float:
+def effective_sample_size(particles: Particles) -> float:
     """1 / Σ w²: N for equal weights, 1 for a single survivor."""
-    return float(1.0 / np.sum(np.exp(2.0 * belief.log_weight)))
+    return float(1.0 / np.sum(np.exp(2.0 * particles.log_weight)))
 
 
-def normalise(belief: Belief) -> float:
+def normalise(particles: Particles) -> float:
     """Make the weights sum to 1; → the logarithm of their sum before."""
-    log_sum = log_sum_exp(belief.log_weight)
-    belief.log_weight = belief.log_weight - log_sum
+    log_sum = log_sum_exp(particles.log_weight)
+    particles.log_weight = particles.log_weight - log_sum
     return log_sum
 
 
-def reweight(belief: Belief, log_likelihood: Floats) -> float | None:
+def reweight(particles: Particles, log_likelihood: Floats) -> float | None:
     """Multiply the weights by a likelihood (N,); → log evidence log Σ w p(z | q).
 
-    None, with the belief unchanged, where every pose is impossible or a value is not a number.
+    None, with the particles unchanged, where every pose is impossible or a value is not a number.
     """
-    log_weight = belief.log_weight + log_likelihood
+    log_weight = particles.log_weight + log_likelihood
     if not np.isfinite(log_weight.max()):
         return None
-    belief.log_weight = log_weight
-    return normalise(belief)
+    particles.log_weight = log_weight
+    return normalise(particles)
 
 
-def resampling_is_due(belief: Belief) -> bool:
+def resampling_is_due(particles: Particles) -> bool:
     """Whether the effective sample size is below RESAMPLE_BELOW."""
-    return effective_sample_size(belief) < RESAMPLE_BELOW * len(belief)
+    return effective_sample_size(particles) < RESAMPLE_BELOW * len(particles)
 
 
-def resample(belief: Belief, n: int, rng: np.random.Generator) -> Belief:
+def resample(particles: Particles, n: int, rng: np.random.Generator) -> Particles:
     """Systematic resampling: `n` particles of equal weight."""
-    cumulative = np.cumsum(belief.weight)
+    cumulative = np.cumsum(particles.weight)
     cumulative[-1] = 1.0  # rounding must not leave the last draw without a particle
     below = np.ceil(n * cumulative - rng.random()).astype(np.intp)  # teeth of a comb of n
     below[1:] -= below[:-1].copy()
-    drawn = np.repeat(np.arange(len(belief)), below)
-    of_each = (belief.pose, belief.remembered, belief.ground)
-    return equal(*(each.take(drawn, axis=0) for each in of_each))
+    drawn = np.repeat(np.arange(len(particles)), below)
+    explained = Explained(*(each.take(drawn, axis=0) for each in particles.explained))
+    return equal(
+        particles.pose.take(drawn, axis=0), explained, particles.ground.take(drawn, axis=0)
+    )
 
 
 def roughened(poses: Poses, rng: np.random.Generator, scale: float) -> Poses:
@@ -133,7 +143,7 @@ def roughened(poses: Poses, rng: np.random.Generator, scale: float) -> Poses:
 
 
 def rejuvenate(
-    belief: Belief,
+    particles: Particles,
     explain: Explain,
     support: Support,
     rng: np.random.Generator,
@@ -148,25 +158,30 @@ def rejuvenate(
     over the usual. Where nothing was touched all poses explain the same, and only `room` keeps
     particles from straying.
     """
-    n = len(belief)
+    n = len(particles)
     step = _random_steps(n, rng, scale)
     one, other = rng.integers(n, size=(2, n))
-    apart = belief.pose.take(one, axis=0)
-    apart -= belief.pose.take(other, axis=0)
+    apart = particles.pose.take(one, axis=0)
+    apart -= particles.pose.take(other, axis=0)
     apart[:, 2] = se2.wrap(apart[:, 2])
     apart *= DIFFERENCES.take(rng.integers(len(DIFFERENCES), size=(n, 1)))
     along = rng.random((n, 1)) >= 0.5
     apart += 0.1 * step
-    poses = belief.pose + np.where(along, apart, step)
+    poses = particles.pose + np.where(along, apart, step)
     poses[:, 2] = se2.wrap(poses[:, 2])
-    before, least = belief.remembered, np.log(rng.random(n))
-    remembered = explain(poses)
-    now = support(np.concatenate([remembered, before]))
+    before, least = particles.explained, np.log(rng.random(n))
+    explained = explain(poses)
+    now = support(_both(explained, before))
     taken = least < now[:n] - now[n:]
     if room is not None:
-        taken &= room.lets(belief.pose, poses)
-    belief.pose[taken] = poses[taken]
-    belief.remembered[taken] = remembered[taken]
+        taken &= room.lets(particles.pose, poses)
+    particles.pose[taken] = poses[taken]
+    for each, new in zip(before, explained, strict=True):
+        each[taken] = new[taken]
+
+
+def _both(one: Explained, other: Explained) -> Explained:
+    return Explained(*map(np.concatenate, zip(one, other, strict=True)))
 
 
 def _random_steps(n: int, rng: np.random.Generator, scale: float) -> Poses:
@@ -179,12 +194,12 @@ def _random_steps(n: int, rng: np.random.Generator, scale: float) -> Poses:
     return steps
 
 
-def merge(a: Belief, evidence_a: float, b: Belief, evidence_b: float) -> Belief:
-    """Both beliefs in one, each weighed by its log evidence."""
-    made = Belief(
+def merge(a: Particles, evidence_a: float, b: Particles, evidence_b: float) -> Particles:
+    """Both in one, each weighed by its log evidence."""
+    made = Particles(
         np.concatenate([a.pose, b.pose]),
         np.concatenate([a.log_weight + evidence_a, b.log_weight + evidence_b]),
-        np.concatenate([a.remembered, b.remembered]),
+        _both(a.explained, b.explained),
         np.concatenate([a.ground, b.ground]),
     )
     normalise(made)
@@ -202,7 +217,7 @@ def occupied(poses: Poses, cell: Floats = CELL) -> int:
 
 
 def enough(cells: int) -> int:
-    """The particles that a belief over `cells` cells needs for a Kullback–Leibler divergence from
+    """The particles that a density over `cells` cells needs for a Kullback–Leibler divergence from
     its own histogram of at most `KLD_ERROR`, with probability 0.99 (KLD-sampling, Fox 2003, eq.
     7)."""
     if cells < 2:

@@ -1,4 +1,4 @@
-"""Priors of a belief as densities over poses: one that is told, and an earlier belief."""
+"""Priors of a belief as densities over poses: one that is given, and an earlier belief."""
 
 from collections.abc import Sequence
 
@@ -14,8 +14,9 @@ LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of an earlier bel
 FLOOR = np.exp(-14.0)  # share of an earlier belief's peak everywhere: lets touches refute it
 
 
-class PriorTerm:
-    """A prior that is told for one object: a density in relation to a uniform one over the table.
+class PriorDensity:
+    """A prior of one object that a user gives: a density in relation to a uniform one over the
+    table.
 
     It may mean nothing, as a contact may, so touches refute it. It counts in a step of its own,
     with the contact that comes next: the object may have moved since the one before.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Floats, Grid
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.anything import Anything
+from taxeld.estimator.background import Background
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.response import SAG_M, SAG_SD
@@ -54,7 +54,7 @@ class ScanEvidence:
     number: int  # of its contact, or of the one before
     is_contact: bool
     fields: Grid  # (FIELDS, M)
-    anything: float  # log p(scan | whatever was pressed, or nothing)
+    background: float  # log p(scan | whatever was pressed, or nothing)
     untouched: float  # log p(scan | nothing is pressed)
 
     @property
@@ -75,7 +75,7 @@ class Reader:
     def __init__(self, links: Sequence[ObservationModel], noise: Noise) -> None:
         """`links`: the skins; the object does not matter. `noise`: where a scan has none."""
         self._noise = noise
-        self._anything = [Anything(each, noise) for each in links]
+        self._background = [Background(each, noise) for each in links]
         self._silent: ScanEvidence | None = None  # the last silent scan
 
     def read(self, observation: Observation, number: int = 0) -> ScanEvidence:
@@ -84,10 +84,10 @@ class Reader:
         if before is not None and not is_contact and _are_alike(before.observation, observation):
             return replace(before, observation=observation, number=number)
         fields = fields_of(observation.z, observation, observation.noise or self._noise)
-        anything = untouched = float(fields[Field.SILENT].sum(dtype=np.float64))
+        background = untouched = float(fields[Field.SILENT].sum(dtype=np.float64))
         if is_contact:
-            anything = self._anything[observation.link].log_density(observation)
-        scan = ScanEvidence(observation, number, is_contact, fields, anything, untouched)
+            background = self._background[observation.link].log_density(observation)
+        scan = ScanEvidence(observation, number, is_contact, fields, background, untouched)
         if not is_contact:
             self._silent = scan
         return scan

@@ -265,14 +265,14 @@ class Pipeline:
         self._estimator.reset()
         return ""
 
-    def tell(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
+    def take_prior(self, pose: PosePrior, of: Sequence[int] | None = None) -> str:
         """Take a prior of the objects numbered `of`, else of any; → why it cannot be taken, empty
         where it was."""
         if self._estimator is None:
             return NO_OBJECT
         if self.config.filter.injection != "mixture":
             return "prior: needs filter.injection = mixture"
-        self._estimator.tell(pose, of)
+        self._estimator.take_prior(pose, of)
         return ""
 
     def warm_up(self) -> None:

@@ -277,4 +277,4 @@ class Daemon:
         pose, names = PosePrior(**given), list(self._objects)
         if pose.object and pose.object not in names:
             return f"no object {pose.object}; there are {', '.join(names)}"
-        return self.pipeline.tell(pose, [names.index(pose.object)] if pose.object else None)
+        return self.pipeline.take_prior(pose, [names.index(pose.object)] if pose.object else None)

@@ -179,7 +179,7 @@ class Publisher:
         is_due = now_s >= self._next_particles_s and link.wants(topics.PARTICLES)
         if is_due and self._names and self._pipeline.estimate.contact:
             self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
-            belief = self._pipeline.estimator.rule.belief
+            belief = self._pipeline.estimator.belief.particles
             cloud = messages.particles(t, self.seq, belief.pose, belief.weight)
             link.send(topics.PARTICLES, cloud, t)
 

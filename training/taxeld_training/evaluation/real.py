@@ -258,7 +258,7 @@ def followed(arm: Arm, variant: Variant, seed: int) -> Iterator[Estimator]:
     if prior != "none":
         off = np.sqrt(np.diag(PRIOR)) * np.random.default_rng(seed).standard_normal(3)
         x, y, theta = (truth + off).tolist()
-        estimator.tell(PosePrior(x=x, y=y, theta=theta, cov=PRIOR))
+        estimator.take_prior(PosePrior(x=x, y=y, theta=theta, cov=PRIOR))
     sensors, bands = se2.compose(truth, recording.sensors[at]), recording.band[at]
     for k, (on, sensor, band) in enumerate(zip(recording.on[at], sensors, bands, strict=True)):
         for s in PRESSED_S + RELEASED_S:

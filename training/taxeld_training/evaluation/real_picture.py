@@ -42,7 +42,7 @@ def draw(folder: Path, path: Path) -> None:
     for touches, estimator in enumerate(trial, 1):
         if touches in AFTER:
             axes, now = panels[AFTER.index(touches)], estimator.estimate
-            belief = estimator.rule.belief
+            belief = estimator.belief.particles
             drawn = belief.pose[rng.choice(len(belief), SHOWN, p=belief.weight)]
             _outlines(axes, scene.outline, drawn, "particles", c=blue, lw=0.4)
             _outlines(axes, round_arm, sensors[:touches], "arms", c="0.6", lw=1.0)

@@ -20,7 +20,7 @@ SLOPE_SD = 0.15  # sd of the surface's slope along the link
 BOW = 20.0  # 1/m: greatest bend along the link
 
 
-class Anything:
+class Background:
     """Local shapes pressed against one skin."""
 
     def __init__(self, model: ObservationModel, noise: Noise) -> None:

@@ -16,7 +16,7 @@ SEEDS = 4
 
 
 def ends(given: Conditions) -> list[tuple[float, float]]:
-    """Of trials with the box: error [mm] after eight touches, and the scale of the slack."""
+    """Of trials with the box: error [mm] after eight touches, and scale of the offsets."""
     case = Case((BOX,), conditions=given)
     model = model_of(BOX, *case.specs)
     found = []
@@ -27,7 +27,7 @@ def ends(given: Conditions) -> list[tuple[float, float]]:
             pass
         estimator = pipeline.estimator
         error = 1e3 * add_m(model.scene, pipeline.estimate.map, world.truth)[1]
-        found.append((error, estimator.rule.memory.slack.scale))
+        found.append((error, estimator.belief.memory.offsets.scale))
     return found
 
 
@@ -44,5 +44,5 @@ def test_touches_that_are_off_are_given_room_and_exact_ones_none(
     given: Conditions, is_off: bool
 ) -> None:
     found = ends(given)
-    assert [(slack > 0.0) == is_off for _, slack in found].count(True) >= SEEDS // 2
+    assert [(scale > 0.0) == is_off for _, scale in found].count(True) >= SEEDS // 2
     assert [error < 10.0 for error, _ in found].count(True) >= SEEDS // 2
