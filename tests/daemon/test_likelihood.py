@@ -160,7 +160,7 @@ def test_c_explains_what_numpy_explains(
     native.library.cache_clear()
     assert (by_c != by_numpy).any()
     apart = ~np.isclose(by_c, by_numpy, atol=0.01)
-    assert apart.mean() < 2e-3  # rounding decides whether a taxel is at the edge of a press
+    assert apart.mean() < 5e-3  # rounding decides whether a taxel is at the edge of a press
 
 
 @needed

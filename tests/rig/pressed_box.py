@@ -73,7 +73,7 @@ class World:
         self.feel(subject, away, link)
         return held
 
-    def find(self, subject: Estimator, least: int = 1, most: int = 12) -> Estimate:
+    def find(self, subject: Estimator, least: int = 1, most: int = 24) -> Estimate:
         """Press from further and further sides until the estimate is sure."""
         for k in range(most):
             estimate = self.press(subject, 0.2 + 1.35 * k)
