@@ -21,6 +21,7 @@ from taxeld.model import se2
 from taxeld.service import calibration_file
 from taxeld.skin.calibration import Calibration, skin_digest
 from taxeld.source.recorder import Recorder
+from taxeld.source.session import Pass, SensorPose
 from taxeld_hil.run.session_run import write_truth
 from taxeld_protocol.array import FULL, REST, ArrayFrame
 from taxeld_sim.objects import bundles
@@ -62,8 +63,9 @@ def write(arm: Arm, part: str, out: Path, tilt: float = 0.2, seed: int = 0) -> N
                 on, t = recording.on[touch] & (s in PRESSED_S), BEGUN_S + TOUCH_S * k + s
                 counts = np.zeros((real.BANDS, len(on)), int)  # 0: not valid
                 counts[recording.band[touch]] = REST + real.READ * FULL * on
-                recorder.take((t, *pose))
+                recorder.take(SensorPose(t, *pose))
                 recorder.take(ArrayFrame(t, "arm", REST, tuple(counts.ravel().tolist())))
+                recorder.take(Pass(t))
     write_truth(out, truth)
     share = np.tile(arm.skin.share, real.BANDS)
     even = dict.fromkeys(("full_scale_sd", "bend", "bend_sd", "gain_cv"), 0.0)

@@ -80,17 +80,14 @@ def _check(args: argparse.Namespace) -> int:
     return 0
 
 
-def _decode(args: argparse.Namespace) -> int:
-    """Decode a log of frames; one JSON line for each scan, then one with the counters.
+def _export(args: argparse.Namespace) -> int:
+    """Write a session as files for other tools: candump's log, tables of scans and poses.
 
-    taxeld decode candump.log
-    taxeld decode --config can0.toml session/frames.log
+    taxeld export session --out exported
     """
-    from taxeld.commands.decode import decode, of_session
+    from taxeld.commands.export import export
 
-    listed = load(args.config).source.modules if args.config else of_session(args.log)
-    for line in decode(args.log, listed):
-        print(line)
+    print("\n".join(f"written: {path}" for path in export(args.session, args.out)))
     return 0
 
 
@@ -240,9 +237,9 @@ COMMANDS: dict[Run, Arguments] = {
         given("--config", "CONFIG", "in place of the session's own config.toml", Path),
         given("--seed", "N", "in place of filter.seed", natural),
     ),
-    _decode: (
-        given("log", "LOG", "a log of candump, or a serial.bin", Path),
-        given("--config", "CONFIG", "with source.modules; a session has its own", Path),
+    _export: (
+        given("session", "SESSION", "its directory", Path),
+        given("--out", "DIR", "for the files, which must be new", Path, required=True),
     ),
     _calibrate: (
         given("source", "CONFIG|SESSION", "a skin to be pressed now, or recorded", Path),

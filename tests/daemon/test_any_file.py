@@ -5,7 +5,6 @@ import io
 import json
 import logging
 import random
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 from zmq.auth import create_certificates
 
-from taxeld.commands.decode import decode
 from taxeld.config.file import load
 from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
@@ -30,8 +28,6 @@ from taxeld.proposals.sampler import Sampler
 from taxeld.source import session
 from taxeld.stream import curve, messages
 from taxeld_hil.scenario import scenario
-from tests.rig.log_writers import bus, candump_log
-from tests.rig.sessions import read
 from tests.rig.skins import table_of
 
 from .test_layout_files import document
@@ -111,22 +107,12 @@ def layout_used(path: Path) -> None:
 
 def session_used(path: Path) -> None:
     """A recorded session of which one file is another."""
-    if not (path.parent / session.CONFIG).exists():
-        left_out = {path.name, *[session.SERIAL] * (path.name == session.FRAMES)}
-        for file in RECORDED.iterdir():
-            if file.name not in left_out:
-                shutil.copy(file, path.parent)
-    read(path.parent)
+    list(session.arrivals(path.parent))
 
 
 def key_used(path: Path) -> None:
     path.chmod(0o600)
     curve.secret_key(path)
-
-
-def frames_made(place: Path) -> list[bytes]:
-    candump_log()(bus(3), place / "made")
-    return [(place / "made").read_bytes()]
 
 
 def there(*paths: Path) -> Callable[[Path], list[bytes]]:
@@ -135,7 +121,6 @@ def there(*paths: Path) -> Callable[[Path], list[bytes]]:
 
 TABLE = table_of(layouts.load(SkinConfig().layout), uid=True).encode()
 READERS = {  # by the name of the file
-    "a.log": Reader(lambda path: list(decode(path)), frames_made),
     "any.toml": Reader(load, there(ROOT / "examples" / "can0.toml")),
     "scenario.toml": Reader(
         lambda path: scenario.load(str(path)), there(*scenario.shipped().values())
@@ -149,14 +134,9 @@ READERS = {  # by the name of the file
     ),
     "skin.csv": Reader(layout_used, lambda _: [TABLE]),
     "skin.json": Reader(layout_used, lambda _: [json.dumps(document(16)).encode()]),
-    session.FRAMES: Reader(session_used, frames_made),
-    **{
-        name: Reader(session_used, there(RECORDED / name))
-        for name in (session.SERIAL, session.SERIAL_TIMES, session.POSES)
-    },
-    session.ABOUT: Reader(
-        session_used,
-        lambda _: [b"version = 1\nframes = 0\nchunks = 265\nbytes = 47173\nposes = 1017\n"],
+    session.ARRIVALS: Reader(session_used, there(RECORDED / session.ARRIVALS)),
+    session.TRUTH: Reader(
+        lambda path: session.truth(path.parent), lambda _: [b"t,x,y,theta\n1.5,0.1,-0.2,3.0\n"]
     ),
     "key": Reader(
         key_used, lambda place: [Path(create_certificates(place, "made")[1]).read_bytes()]

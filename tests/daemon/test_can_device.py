@@ -195,7 +195,7 @@ def test_all_that_has_come_is_read_in_its_order_and_a_lost_interface_is_told_aft
     assert "down" in str(lost.value.__cause__)
 
 
-def test_requests_go_out_are_recorded_as_candump_would_and_wait_while_none_is_taken(
+def test_requests_go_out_are_recorded_and_wait_while_none_is_taken(
     bus: Bus, tmp_path: Path
 ) -> None:
     with Recorder(tmp_path / "session", moves=False) as recorder:
@@ -210,8 +210,6 @@ def test_requests_go_out_are_recorded_as_candump_would_and_wait_while_none_is_ta
     sent += bus.drain()
     assert sent[0] == Frame(0.0, 0x17FFFFFF, bytes.fromhex("013B00004F6D17"), extended=True)
     assert [item._replace(t=0.0) for item in items_of(tmp_path / "session")] == sent  # type: ignore[call-arg]
-    line, *_ = (tmp_path / "session" / "frames.log").read_text(encoding="ascii").split("\n")
-    assert line.endswith(" can0 17FFFFFF#013B00004F6D17")
 
 
 # name, classes in the id and bytes of the data (linux/can/error.h), and all that they tell

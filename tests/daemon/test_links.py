@@ -25,6 +25,8 @@ from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Table
 from taxeld.service.loop import Daemon
 from taxeld.source.links import joint
+from taxeld.source.recorder import Recorder
+from taxeld.source.session import SensorPose
 from tests.rig.clocks import until
 from tests.rig.pressed_box import TRUTH, World, box_side
 from tests.rig.simulated_skin import SimulatedSkin
@@ -121,9 +123,19 @@ def test_touches_of_two_links_are_one_beliefs(
     scans = [stage.skin.counters.scans for stage in again.stages]
     assert scans == pytest.approx([s.skin.counters.scans for s in pipeline.stages], abs=2)
     assert again.estimate.contacts == pipeline.estimate.contacts == 2
-    (session / "link2").mkdir()  # as older sessions have it
-    with pytest.raises(SetupError, match=r"link2: .*; record it anew$"):
-        next(replay.outcomes(session, again))
+
+
+def test_a_robots_clock_that_is_behind_the_other_ones_was_not_set(tmp_path: Path) -> None:
+    """A replay takes the poses of both links as the loop did."""
+    with Recorder(tmp_path, moves=True) as recorder:
+        for t in np.arange(1e9, 1e9 + 1.0, 0.01):
+            for link, behind_s in enumerate((0.0, 0.3)):
+                recorder.take(SensorPose(t - behind_s, 0.3, 0.1, 0.2), link, t)
+    tables = (f'layout = "{SPEC}"\n{source(tmp_path / str(k))}' for k in range(2))
+    again = replay.open_pipeline(tmp_path, parse(links(*tables)))
+    assert list(replay.outcomes(tmp_path, again)) == []
+    assert [stage.poses.taken for stage in again.stages] == [100, 100]
+    assert [stage.inputs.clock_steps for stage in again.stages] == [0, 0]
 
 
 def test_two_links_of_the_same_modules_are_not_on_one_bus(tmp_path: Path) -> None:

@@ -1,27 +1,31 @@
 """Which taxel is which, where no DECLARE was heard: as listed, as told later, or refused."""
 
 import itertools
-import json
+import shutil
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
 from taxeld.commands.record import Recording
+from taxeld.commands.replay import RecordedInputs, open_pipeline
 from taxeld.config.file import load, parse
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source import modules
+from taxeld.source import modules, session
 from taxeld.source.sources import LiveSource
 from taxeld_hil.rig.virtual_ihb import Phase, VirtualIhb
-from taxeld_protocol.frames import Frame, format_log_line
+from taxeld_protocol.decoder import Scan
+from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, listed
 from tests.rig import skins
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import QUIET, configuration
 from tests.rig.given_device import GivenDevice
+from tests.rig.sessions import write
 from tests.rig.skins import SKIN
 from tests.rig.virtual_hub import VirtualHub, frames_of, told
 
@@ -116,50 +120,46 @@ def test_a_list_of_another_skin_is_refused() -> None:
         LiveSource(config, {0: SKIN}, lambda _: GivenDevice())
 
 
-def log(place: Path, *heard: Sequence[Frame], **source: object) -> Path:
-    """What was heard, and beside it a configuration."""
-    path = place / "frames.log"
-    lines = [format_log_line(frame) for frames in heard for frame in frames]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
-    configuration(place, source=QUIET | source)
-    return path
+def heard_in(
+    place: Path, *heard: Sequence[Frame], listed: Sequence[Sequence[int]] = (), **source: object
+) -> list[Scan]:
+    """The scans in a session of what was heard, with a list in its head, and keys of its source."""
+    shutil.rmtree(place, ignore_errors=True)
+    modules_of = {0: tuple(map(tuple, listed))} if listed else None
+    write(place, chain.from_iterable(heard), modules=modules_of)
+    config = load(configuration(place, source=QUIET | source))
+    inputs = RecordedInputs(place, open_pipeline(place, config))
+    for arrival in session.arrivals(place):
+        inputs.take(arrival)
+    return inputs.scans()
 
 
-def decoded(*arguments: object) -> tuple[list[dict[str, object]], dict[str, int]]:
-    *scans, last = map(json.loads, printed("decode", *arguments).splitlines())
-    return scans, last["stats"]
-
-
-def test_a_log_that_does_not_tell_its_modules_is_read_by_the_configurations_list_or_refused(
+def test_a_session_that_does_not_tell_its_modules_is_read_by_a_list_or_refused(
     tmp_path: Path,
 ) -> None:
-    path, config = log(tmp_path, scan(ONE)), tmp_path / "config.toml"
-    for command, place in ((["decode", path, "--config", config], path), (["replay"], tmp_path)):
-        said = refused(*command, *[tmp_path] * (command == ["replay"]))
-        assert said.startswith(f"source.modules: hub 1 of {place} {MISSING}")
-    log(tmp_path, scan(ONE), modules=pairs(MODULES))
-    assert decoded(path, "--config", config)[0][0]["modules"] == [m.uids for m in MODULES]
-    log(tmp_path, tells(ONE, 2), *(scan(ONE, 1.0 + 0.05 * k) for k in range(2)))
-    assert printed("replay", tmp_path), "one module that told nothing of itself"
+    place = tmp_path / "session"
+    assert heard_in(place, scan(ONE)) == []
+    said = refused("replay", place)
+    assert said.startswith(f"source.modules: hub 1 of {place} {MISSING}")
+    heard_in(place, tells(ONE, 2), *(scan(ONE, 1.0 + 0.05 * k) for k in range(2)))
+    assert printed("replay", place), "one module that told nothing of itself"
 
 
-@pytest.mark.parametrize("beside", ["config.toml", modules.FILE])
-def test_decode_of_a_sessions_log_reads_by_the_list_beside_it(tmp_path: Path, beside: str) -> None:
+@pytest.mark.parametrize("beside", ["config.toml", "head"])
+def test_a_session_is_read_by_the_list_of_its_configuration_or_of_its_recorder(
+    tmp_path: Path, beside: str
+) -> None:
     """A skin of 13 modules, one of them cut: with full modules a quarter of the values is wrong."""
     cut = listed((sui, 0x76D if sui == 7 else 0xFFF) for sui in range(1, 14))
-    more = {"listen_only": True, "modules": pairs(cut)} if beside == "config.toml" else {}
-    path = log(tmp_path, scan(VirtualIhb(cut)), **more)
-    if not more:
-        modules.write(tmp_path / beside, {1: cut})
-    [heard], stats = decoded(path)
-    assert heard["modules"] == [module.uids for module in cut]
-    assert stats["scans"] == 1
+    is_head = beside == "head"
+    known = {"listed": pairs(cut)} if is_head else {"listen_only": True, "modules": pairs(cut)}
+    [heard] = heard_in(tmp_path / "session", scan(VirtualIhb(cut)), **known)  # type: ignore[arg-type]
+    assert heard.by_module == [module.uids for module in cut]
 
 
-def test_decode_leaves_out_a_hub_whose_modules_only_another_hub_has_told(tmp_path: Path) -> None:
-    heard, stats = decoded(log(tmp_path, tells(TWO), *[scan(ONE), scan(TWO)] * 2, listen_only=True))
-    assert [scan["ihb"] for scan in heard] == [2, 2]
-    assert stats["undeclared"] > 0
+def test_a_hub_whose_modules_only_another_hub_has_told_is_left_out(tmp_path: Path) -> None:
+    heard = heard_in(tmp_path, tells(TWO), *[scan(ONE), scan(TWO)] * 2, listen_only=True)
+    assert [scan.ihb for scan in heard] == [2, 2]
 
 
 def test_check_tells_a_listener_without_a_list_when_it_must_be_started(tmp_path: Path) -> None:
@@ -188,27 +188,23 @@ def test_what_is_written_for_a_listener_can_be_pasted_and_is_written_through_no_
     assert not (tmp_path / "victim").exists()
 
 
-UNTOLD = "no DECLARE and MODULE_DETAILS were heard: to replay it, list source.modules"
-
-
 @pytest.mark.parametrize(
-    ("of", "is_told", "line", "logged"),
+    ("of", "is_told", "logged"),
     [
-        (MODULES, True, "{file}, for source.modules", ""),
-        (GROUPED, True, REFUSED, REFUSED),
-        (MODULES, False, UNTOLD, f"source.modules: hub 1 {MISSING}"),
+        (MODULES, True, ""),
+        (GROUPED, True, REFUSED),
+        (MODULES, False, f"source.modules: hub 1 {MISSING}"),
     ],
     ids=["told", "refused", "untold"],
 )
-def test_a_recording_lists_the_modules_for_a_listener_or_says_why_it_does_not(
+def test_an_exported_recording_lists_the_modules_for_a_listener_where_they_were_told(
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
     of: list[Module],
     is_told: bool,
-    line: str,
     logged: str,
 ) -> None:
-    """And goes on where nobody told their order."""
+    """It goes on where nobody told their order."""
     polls = itertools.count()
     with VirtualHub(tmp_path / "skin", of) as skin:
         if not is_told:
@@ -220,9 +216,9 @@ def test_a_recording_lists_the_modules_for_a_listener_or_says_why_it_does_not(
             skin.serve(time.monotonic(), lambda _: [u for m in MODULES for u in m.uids])
             return skin.ihb.phase == Phase.RUNNING and next(polls) > 500
 
-        said = recording.run(ends)
-    written = tmp_path / "session" / modules.FILE
-    assert line.format(file=written) in said
-    assert written.exists() is bool(recording.scans) is (line not in (REFUSED, UNTOLD))
-    assert not written.exists() or pasted(written).modules == pairs(MODULES)
+        recording.run(ends)
     assert [text[: len(logged)] for text in caplog.messages[-1:]] == [logged] * bool(logged)
+    printed("export", tmp_path / "session", "--out", tmp_path / "out")
+    written = tmp_path / "out" / modules.FILE
+    assert written.exists() is bool(recording.scans) is (not logged)
+    assert not written.exists() or pasted(written).modules == pairs(MODULES)

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxeld.commands.decode import decode
+from taxeld.commands.replay import RecordedInputs, open_pipeline
+from taxeld.config.file import load
 from taxeld.source import session
 from taxeld_hil.rig.virtual_ihb import Phase, VirtualIhb
 from taxeld_protocol import commands, cyskin
@@ -128,19 +129,21 @@ def test_by_its_page_an_own_skin_is_recorded_without_a_wrong_value(
     )
     assert "80 in 8 modules" in printed(*layout[1:])
     assert "written: skin.toml" in printed(*init[1:])
-    recording = Path("first", session.SERIAL)
+    recording = Path("first", session.ARRIVALS)
     with taxeld(*record[1:], **PIPES) as process:
         until(lambda: recording.exists() and recording.stat().st_size > 4000)
         process.send_signal(signal.SIGINT)
         said, errors = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, errors) == (0, "")
     assert "0 sensor poses" in said
-    *scans, told = map(json.loads, decode(recording))
-    first = scans[0]["modules"][0][0]
+    inputs = RecordedInputs(Path("first"), open_pipeline(Path("first"), load(Path("skin.toml"))))
+    for arrival in session.arrivals(Path("first")):
+        inputs.take(arrival)
+    scans, stats = inputs.scans(), inputs.sources[0].decoder.stats()
+    first = scans[0].counts[0]
     assert len(scans) > 10
     for k, scan in enumerate(scans):
-        values = [value for module in scan["modules"] for value in module]
         at = 10_000 + (first - 10_000 + k) % 8
-        assert values == list(range(at, at + len(values)))
-        assert [len(module) for module in scan["modules"]] == [CHANNELS] * 8
-    assert (told["stats"]["bytes_dropped"], told["stats"]["incomplete"]) == (0, 0)
+        assert scan.counts == tuple(range(at, at + 8 * CHANNELS))
+        assert [module.channels for module in scan.table] == [CHANNELS] * 8
+    assert (stats["bytes_dropped"], stats["incomplete"]) == (0, 0)

@@ -15,6 +15,7 @@ from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.samples import Samples
 from taxeld.source.recorder import Recorder
+from taxeld.source.session import Pass, SensorPose
 from taxeld_hil.calibration.presses import Observer, Presses
 from taxeld_hil.grade.grade import Grade
 from taxeld_hil.rig.virtual_ihb import VirtualIhb
@@ -112,12 +113,13 @@ def write_session(
             recorder.take(frame)
         for t in np.arange(IDLE_S - idle_s, min(end_s, world.duration_s), SCAN_S):
             for at in (t - 0.03, t):
-                recorder.take((begin_s + at, *world.stated(at).tolist()))
+                recorder.take(SensorPose(begin_s + at, *world.stated(at).tolist()))
             counts = world.step(t).counts
             for channel in frozen:
                 counts[channel] = STILL
             for frame in frames_of(hub.sensor_data(counts), t=begin_s + t):
                 recorder.take(frame)
+            recorder.take(Pass(begin_s + t))
     (directory / "config.toml").write_text(
         '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
         '[filter]\nproposal = "manifold"\nparticles = 60\nparticles_max = 60\ninjected = 20\n',

@@ -13,6 +13,7 @@ from taxeld.config.tables import SkinConfig
 from taxeld.layout import read as layouts
 from taxeld.skin.skin import Skin
 from taxeld.source.recorder import Recorder
+from taxeld.source.session import Pass
 from taxeld_hil import cli, rules
 from taxeld_hil.acceptance import checks
 from taxeld_hil.acceptance.recorded import RecordedSkin
@@ -207,7 +208,7 @@ def test_a_recording_of_a_healthy_skin_passes(
     config: str, of_another: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     skin, hub, links = SimulatedSkin(SKIN), VirtualIhb(MODULES), 1 + (config == LINKS)
-    with Recorder(tmp_path, moves=False, links=links) as recorder:
+    with Recorder(tmp_path, moves=False) as recorder:
         declared = frames_of(told(hub), t=skin.t)
         for scan in scans(skin):
             items: list[Any] = [*declared, *frames_of(hub.sensor_data(scan.counts), t=scan.t)]
@@ -217,6 +218,7 @@ def test_a_recording_of_a_healthy_skin_passes(
             for k in range(links):
                 for item in items:
                     recorder.take(item, k)
+            recorder.take(Pass(scan.t))
             declared = []
     (tmp_path / "config.toml").write_text(config, encoding="utf-8")
     assert cli.main(["accept", str(tmp_path)]) == 0

@@ -18,11 +18,13 @@ from taxeld.config.file import load
 from taxeld.config.tables import Config, SkinConfig
 from taxeld.service import calibration_file
 from taxeld.source import session
+from taxeld.source.session import Pass, SensorPose
 from taxeld_hil.calibration import command
 from taxeld_hil.calibration.command import Guided
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame
 from tests.hil.rig import BEGUN_S, MOUNT, SKIN, pressing, write_session
+from tests.rig import sessions
 from tests.rig.clocks import Clock
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
@@ -94,9 +96,10 @@ def test_a_session_that_lacks_robot_rest_or_presses_is_refused(tmp_path: Path) -
     config.write_text(two, encoding="utf-8")
     assert "scene.bundles: a skin is calibrated by" in refused("calibrate", place, "--check")
     config.write_text(text, encoding="utf-8")
-    (place / "sensor_pose.csv").unlink()
+    (place / session.ARRIVALS).unlink()
+    sessions.write(place, [Pass(1.0)])
     says = refused("calibrate", place, "--out", made)
-    assert "sensor_pose.csv: is missing; a calibration needs" in says
+    assert f"{place}: has no robot; a calibration needs" in says
     assert not made.exists()
 
 
@@ -108,16 +111,16 @@ class PlayedInputs:
     ) -> None:
         self.sources = [SimpleNamespace(decoder=None)]
         self._clock, self._link, self._recorder = clock, link, recorder
-        self._records = session.records(place)
-        self._source = RecordedSource(config.source, {0: skins[0]}, alone=True)
+        self._arrivals, (_, head) = session.arrivals(place), session.head(place)
+        self._source = RecordedSource(config.source, {0: skins[0]}, head, alone=True)
 
     def poll(self, _: float) -> list[Scan]:
-        record = next(self._records)
-        self._clock.now = record.t
-        if isinstance(record.item, Frame):
-            self._recorder.take(record.item)
-            return self._source.take(record)
-        self._link._on_pose(*record.item, record.t, 0)
+        self._clock.now, _, item = arrival = next(self._arrivals)
+        if isinstance(item, Frame):
+            self._recorder.take(item)
+            return self._source.take(arrival)
+        if isinstance(item, SensorPose):
+            self._link._on_pose(*item, arrival.t, 0)
         return []
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ import pytest
 from taxeld.commands.replay import Replay
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
-from taxeld.source.session import read_poses
+from taxeld.source.session import truth
 from taxeld_hil import cli
 from taxeld_hil.grade.session import read
 from taxeld_hil.run.fake import FakeRun
@@ -91,10 +91,9 @@ def test_a_run_on_the_fake_clock_leaves_a_session_that_replays_to_its_end(
     transport: str, tmp_path: Path
 ) -> None:
     passing(shipped("demo", "scene", transport), tmp_path)
-    truth = read_poses(tmp_path / "truth.csv")[0][1:]
     *_, last = Replay(tmp_path)
     assert last.estimate.status is Status.CONVERGED
-    np.testing.assert_allclose(last.estimate.map[:2], truth[:2], atol=0.003)
+    np.testing.assert_allclose(last.estimate.map[:2], truth(tmp_path)[:2], atol=0.003)
 
 
 def test_a_run_is_determined_by_its_seed() -> None:

@@ -13,7 +13,8 @@ import numpy as np
 
 from taxeld.stream import client
 from taxeld_hil.rig.virtual_ihb import VirtualIhb
-from taxeld_protocol.frames import format_log_line
+from taxeld_protocol.frames import parse_log_line
+from tests.rig import sessions
 from tests.rig.clocks import until
 from tests.rig.configurations import QUIET, Table, configuration
 from tests.rig.skins import CHANNELS, MODULES
@@ -42,13 +43,12 @@ def scans(touches: int, rest: int = 0) -> Iterator[list[int]]:
 
 
 def write_session(place: Path, touches: int = 1) -> None:
-    """`frames.log` in `place`: the scans, after what the hub told of its modules."""
+    """A session in `place`: the scans, after what the hub told of its modules."""
     ihb = VirtualIhb(MODULES)
     frames = frames_of(told(ihb), t=1e9)
     for number, counts in enumerate(scans(touches)):
         frames += frames_of(ihb.sensor_data(counts), t=1e9 + number * PERIOD_S)
-    lines = "\n".join(map(format_log_line, frames))
-    (place / "frames.log").write_text(lines + "\n", encoding="ascii")
+    sessions.write(place, frames)
 
 
 class LiveSkin(threading.Thread):
@@ -118,9 +118,9 @@ def said_of(
 
 
 def write_golden(place: Path) -> None:
-    """`frames.log` in `place`: the documented scan of one module, which does not tell its name."""
-    lines = [f"(1.000000) can0 {line}" for line in GOLDEN_SCAN]
-    (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
+    """A session in `place`: the documented scan of one module, which does not tell its name."""
+    frames = [parse_log_line(f"(1.000000) can0 {line}") for line in GOLDEN_SCAN]
+    sessions.write(place, filter(None, frames))
 
 
 def golden(place: Path, **tables: Table) -> Path:

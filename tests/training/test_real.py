@@ -17,11 +17,11 @@ import pytest
 from taxeld.api import Replay
 from taxeld.errors import SetupError
 from taxeld.skin.fit import RELIABLE
-from taxeld.source import session
 from taxeld.stream import topics
 from taxeld_hil.grade.grade import grade
 from taxeld_hil.grade.session import PUBLISHED, Run, add
 from taxeld_hil.scenario.scenario import Scenario
+from taxeld_protocol.array import ArrayFrame, line_of
 from taxeld_training.cli import main
 from taxeld_training.evaluation import real, real_picture
 from taxeld_training.evaluation.real import Arm
@@ -31,6 +31,7 @@ from tests.rig.clocks import until
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
 from tests.rig.processes import taxeld
+from tests.rig.sessions import items_of, poses_of
 from tests.rig.sockets import Sockets
 
 KINDS = ["knows", "touched", "prior"]
@@ -127,8 +128,8 @@ def replayed(place: Path) -> list[Said]:
 
 def ran(place: Path) -> list[Said]:
     """By a daemon to which each scan is sent until it says so."""
-    scans = map(json.loads, (place / session.ARRAY).read_text("ascii").splitlines())
-    poses = session.read_poses(place / session.POSES)
+    scans = [json.loads(line_of(item)) for item in items_of(place) if isinstance(item, ArrayFrame)]
+    poses = poses_of(place)
     at = {name: {"endpoint": f"ipc://{place}/{name}"} for name in ("skin", "robot")}
     config = configuration(
         place,

@@ -3,7 +3,6 @@
 Attackers are those of attacks.py; a healthy subscriber listens beside them.
 """
 
-import re
 import subprocess
 import sys
 import time
@@ -14,7 +13,7 @@ from pathlib import Path
 import msgpack
 import zmq
 from checks import check
-from touch import OVER_TCP, PATIENCE_S, VCAN0, frame_times, recording, sh, until
+from touch import OVER_TCP, PATIENCE_S, VCAN0, frame_times, frames_of, recording, sh, until
 
 from taxeld.config.tables import ControlConfig, PublishConfig
 from taxeld.source import session
@@ -108,9 +107,8 @@ def ended(command: list[str]) -> Iterator[None]:
 
 def numbers(where: Path, can_id: int) -> list[int]:
     """Of those frames of an id that a session has."""
-    text = (where / session.FRAMES).read_text("ascii")
-    found = re.findall(rf" {can_id:X}#([0-9A-F]{{16}})\n", text)
-    return [int.from_bytes(bytes.fromhex(data), "little") for data in found]
+    frames = (frame for frame in frames_of(where) if frame.can_id == can_id)
+    return [int.from_bytes(frame.data, "little") for frame in frames]
 
 
 @contextmanager
@@ -201,5 +199,5 @@ def a_daemon_that_is_out_of_memory_is_restarted_and_its_recording_is_kept() -> s
     assert limited_s - kept[-1] < LATE_S
     since = recording()
     assert since != begun
-    assert (since / session.ABOUT).exists()
+    assert (since / session.ARRIVALS).exists()
     return f"{len(kept)} frames, to {VCAN0.ended_s() - kept[-1]:.1f} s before its end"

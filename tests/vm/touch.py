@@ -1,6 +1,6 @@
 """What the checks look at: units as systemd sees them, and estimates of a skin that is touched."""
 
-import re
+import contextlib
 import subprocess
 import sys
 import tempfile
@@ -14,12 +14,14 @@ import numpy as np
 import zmq
 
 from taxeld.config.tables import ControlConfig, PublishConfig, SkinConfig
+from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
 from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
 from taxeld.source import session
 from taxeld.stream import client, topics
+from taxeld_protocol.frames import Frame
 
 PATIENCE_S = 180.0  # an emulated processor is some twenty times slower
 GOOD_MM = 10.0
@@ -148,11 +150,18 @@ def recording() -> Path:
     return SESSIONS / VCAN0.show("InvocationID")
 
 
+def frames_of(where: Path) -> list[Frame]:
+    """Of the whole records of a session."""
+    found: list[Frame] = []
+    with contextlib.suppress(SetupError):  # it has not begun
+        items = (arrival.item for arrival in session.arrivals(where))
+        found += (item for item in items if isinstance(item, Frame))
+    return found
+
+
 def frame_times(where: Path) -> list[float]:
-    """Of the whole records of a session, Unix time."""
-    path = where / session.FRAMES
-    text = path.read_text("ascii") if path.exists() else ""
-    return [float(t) for t in re.findall(r"^\((\d+\.\d+)\).*\n", text, re.MULTILINE)]
+    """Unix time."""
+    return [frame.t for frame in frames_of(where)]
 
 
 class Touch:
@@ -185,7 +194,7 @@ class Touch:
         try:
             truth = directory / session.TRUTH
             until("the virtual skin", truth.exists)
-            self.truth = np.array(session.read_poses(truth)[-1][1:])
+            self.truth = session.truth(directory)
         except BaseException:
             self._skin.kill()
             raise

@@ -12,11 +12,10 @@ from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.service.inputs import Inputs
-from taxeld.source import modules
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source
+from taxeld.source.session import Pass, SensorPose
 from taxeld.stream.link import Link
-from taxeld_protocol.decoder import Decoder, Scan
+from taxeld_protocol.decoder import Scan
 
 POLL_S = 0.002
 
@@ -30,8 +29,9 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
         SetupError: the directory cannot be recorded into.
     """
     named = Path(config.skin.calibration) if config.skin.calibration else None
-    moves, links = bool(config.sensor_pose.endpoint), len(config.names)
-    return Recorder(directory, moves=moves, config=config_path, calibration=named, links=links)
+    modules = {numbers[0]: source.modules for source, numbers in config.buses}
+    moves = bool(config.sensor_pose.endpoint)
+    return Recorder(directory, moves=moves, modules=modules, config=config_path, calibration=named)
 
 
 class Recording:
@@ -43,6 +43,7 @@ class Recording:
         self.scans = 0
         self._directory = directory
         self._recorder = recorder_of(config, config_path, directory)
+        self._tracks = [PoseTrack() for _ in config.each]
 
     @property
     def failed(self) -> bool:
@@ -50,47 +51,33 @@ class Recording:
         return self._recorder.failed
 
     def run(self, ends: Callable[[], bool], on_poll: OnPoll = lambda *_: None) -> str:
-        """Record until `ends`, or until the disk is full; → one line on the recording, and on the
-        file that lists the modules. `on_poll` is given the scans of each poll and the sensor's
-        poses.
+        """Record until `ends`, or until the disk is full; → one line on the recording. `on_poll` is
+        given the scans of each poll and the first link's poses.
 
         Raises:
             SetupError: a device or the directory cannot be used.
         """
         config, recorder = self.config, self._recorder
-        tracks = [PoseTrack(on_pose) for on_pose in recorder.on_poses]
-        link = Link({}, lambda *pose: tracks[pose[5]].add(*pose[:5]), {})
+        link = Link({}, self._on_pose, {})
         skins = [layouts.load(one.skin.layout) for one in config.each]
         with recorder, closing(Inputs(config, skins, link, recorder)) as inputs:
             while not ends() and not self.failed:
                 scans = inputs.poll(time.monotonic())
+                if scans:
+                    recorder.take(Pass(time.time()))
                 self.scans += len(scans)
-                on_poll([scan for scan in scans if not scan.link], tracks[0])
+                on_poll([scan for scan in scans if not scan.link], self._tracks[0])
                 time.sleep(POLL_S)
-        return self._summary() + self._listed(inputs.sources[0])
+        return self._summary()
 
-    def _listed(self, source: Source) -> str:
-        """Write the hubs' modules to a file for later listeners; → a line that names the file."""
-        decoder, written = source.decoder, self._recorder.written
-        if not isinstance(decoder, Decoder) or not (written["frames"] or written["bytes"]):
-            return ""
-        tables, path = modules.complete(decoder), self._directory / modules.FILE
-        if not tables and decoder.refusal:
-            return f"; {decoder.refusal}"
-        if not tables:
-            unheard = "no DECLARE and MODULE_DETAILS were heard: to replay it, list source.modules"
-            return f"; {unheard}" if decoder.counters.undeclared or decoder.counters.scans else ""
-        try:
-            modules.write(path, tables)
-        except OSError as error:
-            return f"; {path} cannot be written ({error.strerror})"
-        return f"; its modules are listed in {path}, for source.modules"
+    def _on_pose(self, t: float, x: float, y: float, theta: float, came: float, link: int) -> None:
+        self._recorder.take(SensorPose(t, x, y, theta), link, came)
+        self._tracks[link].add(t, x, y, theta, came)
 
     def _summary(self) -> str:
         written, dropped = self._recorder.written, self._recorder.dropped
         if not (written or self.failed):
             return f"{self._directory}: nothing came, so nothing is kept"
-        kind = "frames" if written["frames"] else "bytes"
-        lost = f", {dropped} records dropped" if dropped else ""
-        scans, poses = f"{self.scans} scans", f"{written['poses']} sensor poses"
-        return f"{self._directory}: {written[kind]} {kind}, {scans}, {poses}{lost}"
+        lost = f", {dropped} of {written + dropped} records dropped" if dropped else ""
+        poses = sum(track.taken for track in self._tracks)
+        return f"{self._directory}: {self.scans} scans, {poses} sensor poses{lost}"

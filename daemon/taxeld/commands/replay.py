@@ -20,13 +20,11 @@ from taxeld.service.prepare import prepared
 from taxeld.skin.patches import Patches
 from taxeld.source import modules, session
 from taxeld.source.links import LinkTable, joint
-from taxeld.source.session import Record
+from taxeld.source.session import Arrival, ClockStep, Head, Late, Pass, SensorPose
 from taxeld.stream import messages
 from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Chunk, Frame
-
-OfSkin = Frame | Chunk | ArrayFrame
 
 
 class Replay:
@@ -106,15 +104,15 @@ def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator
 
 
 def open_pipeline(directory: Path, config: Config) -> Pipeline:
-    """The pipeline of a session. It has a sensor pose if one was recorded, whatever endpoint is
+    """The pipeline of a session. It has a robot if the recorder had one, whatever endpoint is
     configured, and takes the bundle's first choice for `auto`, whatever it costs here.
 
     Raises:
-        SetupError: a file named by the configuration cannot be used.
+        SetupError: the session is none, or a file named by the configuration cannot be used.
     """
-    where = str(directory) if (directory / session.POSES).exists() else ""
+    begun, head = session.head(directory)
+    where = str(directory) if head.moves else ""
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
-    begun = session.begun(directory) if any(one.skin.calibration for one in config.each) else 0.0
     try:
         return prepared(config, begun, recorded=True).pipeline
     except SetupError as error:
@@ -132,67 +130,83 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     Raises:
         SetupError: the session cannot be read, or its modules' order is unknown.
     """
-    stages, sources = pipeline.stages, sources_of(directory, pipeline)
-    steps, before = 0, 0.0
-    # as the daemon does: poses up to the arrival of a scan's last frame are known
-    for record in session.records(directory):
-        if record.steps > steps:
-            pipeline.clock_stepped(record.t - before)
-        steps, before = record.steps, record.t
-        scans = [scan for source in sources for scan in source.take(record)]
-        yield from pipeline.advance(scans, record.t)
-        if not isinstance(record.item, OfSkin) and record.link < len(stages):
-            stages[record.link].poses.add(*record.item)
+    inputs, t = RecordedInputs(directory, pipeline), 0.0
+    for arrival in session.arrivals(directory):
+        t, link, item = arrival
+        match item:
+            case Pass():
+                yield from pipeline.advance(inputs.scans(), t)
+            case ClockStep():
+                pipeline.clock_stepped(item.by)
+            case SensorPose() if link < len(pipeline.stages):
+                pipeline.stages[link].poses.add(*item, t)
+            case _:
+                inputs.take(arrival)
+    yield from pipeline.advance(inputs.scans(), t)
     yield from pipeline.advance((), math.inf)
-    for source in sources:
-        source.end(str(directory))
+    inputs.end()
 
 
-def sources_of(directory: Path, pipeline: Pipeline) -> "list[RecordedSource]":
-    """The sources of a session, in the order of the configuration's buses.
+class RecordedInputs:
+    """The sources of a session, in the order of the configuration's buses."""
 
-    Raises:
-        SetupError: the session is of an older version.
-    """
-    config = pipeline.config
-    for name in config.names[1:]:
-        if (directory / name).is_dir():
-            raise SetupError(
-                f"{directory / name}: links no longer have folders of their own in a session; "
-                "record it anew"
-            )
-    skins, shared = [stage.skin.layout for stage in pipeline.stages], config.buses
-    return [
-        RecordedSource(one, {k: skins[k] for k in numbers}, alone=len(shared) == 1)
-        for one, numbers in shared
-    ]
+    def __init__(self, directory: Path, pipeline: Pipeline) -> None:
+        """Raises SetupError where there is no session, or it cannot be of this configuration."""
+        skins, shared = [stage.skin.layout for stage in pipeline.stages], pipeline.config.buses
+        self._directory, (_, head) = directory, session.head(directory)
+        self.sources = [
+            RecordedSource(one, {k: skins[k] for k in numbers}, head, alone=len(shared) == 1)
+            for one, numbers in shared
+        ]
+        self._scans: list[Scan] = []
+
+    def take(self, arrival: Arrival) -> None:
+        """Take what has come of a source."""
+        for source in self.sources:
+            if isinstance(arrival.item, Late) and source.has(arrival):
+                own = source.links.numbers
+                self._scans = [scan for scan in self._scans if scan.link not in own]
+            self._scans += source.take(arrival)
+
+    def scans(self) -> list[Scan]:
+        """The scans that have come since they were last asked for."""
+        scans, self._scans = self._scans, []
+        return scans
+
+    def end(self) -> None:
+        """Raises SetupError where hubs sent scans, and the order of their modules is unknown."""
+        for source in self.sources:
+            if isinstance(source.decoder, Decoder) and (
+                line := modules.unplaced(source.decoder, f" of {self._directory}")
+            ):
+                raise SetupError(line)
 
 
 class RecordedSource:
-    def __init__(self, config: SourceConfig, skins: Mapping[int, Layout], *, alone: bool) -> None:
+    def __init__(
+        self, config: SourceConfig, skins: Mapping[int, Layout], head: Head, *, alone: bool
+    ) -> None:
         """`alone`: whether it is the only one."""
-        self._is_array, self._alone = config.kind == "array", alone
-        layout, self._links = joint(list(skins.values())), LinkTable(skins)
+        self._alone = alone
+        layout, self.links = joint(list(skins.values())), LinkTable(skins)
         self.decoder: Any
-        if self._is_array:
+        if config.kind == "array":
             self.decoder = ArrayDecoder(layout.uid.tolist(), config.array)
         else:
             modules.check(config, layout)
-            self.decoder = Decoder(modules.known(config.modules), config.period_ms / 1000.0)
+            listed = head.listed(config, self.links.numbers[0])
+            self.decoder = Decoder(modules.known(listed), config.period_ms / 1000.0)
 
-    def take(self, record: Record) -> list[Scan]:
-        """The scans that its record ends; none where the record is another source's."""
-        decoded = self.decoder.take([record.item]) if self._has(record) else ()
-        return self._links.of(scan for _, scans in decoded for scan in scans)
+    def take(self, arrival: Arrival) -> list[Scan]:
+        """The scans that an arrival ends; none where it is another source's."""
+        is_array = isinstance(self.decoder, ArrayDecoder)
+        kinds = (ArrayFrame,) if is_array else (Frame, Chunk)
+        if not (self.has(arrival) and isinstance(arrival.item, kinds)):
+            return []
+        if is_array:
+            self.decoder.now_t = arrival.t
+        decoded = self.decoder.take([arrival.item])
+        return self.links.of(scan for _, scans in decoded for scan in scans)
 
-    def end(self, place: str) -> None:
-        """Raises SetupError where hubs sent scans, and the order of their modules is unknown."""
-        line = "" if self._is_array else modules.unplaced(self.decoder, f" of {place}")
-        if line:
-            raise SetupError(line)
-
-    def _has(self, record: Record) -> bool:
-        item = record.item
-        if not isinstance(item, OfSkin) or isinstance(item, ArrayFrame) != self._is_array:
-            return False
-        return self._alone or self._is_array or record.link == self._links.numbers[0]
+    def has(self, arrival: Arrival) -> bool:
+        return self._alone or arrival.link == self.links.numbers[0]

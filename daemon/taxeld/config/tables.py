@@ -23,7 +23,7 @@ LEVELS = ("debug", "info", "warning", "error")  # levels of the log
 SENSOR_POSE = "/robot/sensor_pose"  # a single link's topic
 
 
-def _modules(modules: tuple[tuple[int, ...], ...]) -> str | None:
+def modules_fault(modules: tuple[tuple[int, ...], ...]) -> str | None:
     for entry in modules:
         if len(entry) not in (2, 3) or len(entry) != len(modules[0]):
             return f"{list(entry)}: must be [SUI, mask], or all [SUI, mask, hub]"
@@ -89,7 +89,9 @@ class SourceConfig:
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")
     listen_only: bool = key(False, doc="never send: for a skin that something else started")
     modules: tuple[tuple[int, ...], ...] = key(
-        (), _modules, "[SUI, mask] of each module in its hub's order, where no DECLARE is heard"
+        (),
+        modules_fault,
+        "[SUI, mask] of each module in its hub's order, where no DECLARE is heard",
     )
 
     @property

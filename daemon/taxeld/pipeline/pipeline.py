@@ -22,7 +22,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Activation, ObservationModel
 from taxeld.pipeline.freshness import Freshness
-from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack
+from taxeld.pipeline.poses import EXTRAPOLATE_S, PoseTrack
 from taxeld.pipeline.stage import InputCounters, LinkStage, later
 from taxeld.prior import PosePrior
 from taxeld.proposals.samples import Samples
@@ -86,19 +86,16 @@ class Pipeline:
         layouts: Sequence[Layout],
         objects: Sequence[ObservationModel],
         samples: Samples,
-        on_poses: Sequence[OnPose] = (),
         calibration: Sequence[Calibration | None] = (),
         extrapolate_s: float = EXTRAPOLATE_S,
     ) -> None:
         """`layouts` of each link; `objects` that may be felt, which the samples are of: without
-        any the skin is served alone. `on_poses` are called with every accepted sensor pose
-        (t, x, y, θ) of each link, as the robot sends it. `calibration`: of each link's skin and its
-        mount on the robot. `extrapolate_s`: as of PoseTrack."""
+        any the skin is served alone. `calibration`: of each link's skin and its mount on the
+        robot. `extrapolate_s`: as of PoseTrack."""
         self.stages = [
             LinkStage(
                 config.of_link(k),
                 layout,
-                on_poses[k] if on_poses else None,
                 calibration[k] if calibration else None,
                 extrapolate_s,
             )

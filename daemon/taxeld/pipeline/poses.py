@@ -3,7 +3,6 @@ last one; and how well it is known, by the age of the nearest pose and the scan'
 
 import math
 from collections import deque
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +21,6 @@ BRIEF_S = 1e-3  # poses that are closer in time were stamped as they were sent, 
 PACED = 4  # scans of a hub whose pace the next is held to: one that was lost is soon forgotten
 BACK_MAX = 10  # ordered poses in a row before the last one: the robot's clock was set back
 
-OnPose = Callable[[float, float, float, float], None]
-
 
 class TakenPose(NamedTuple):
     t: float
@@ -35,19 +32,17 @@ class PoseTrack:
 
     def __init__(
         self,
-        on_pose: OnPose | None = None,
         mount: Poses | None = None,
         extrapolate_s: float = 0.0,
         reach_m: float = 0.0,
     ) -> None:
-        """`on_pose` is called with every accepted pose (t, x, y, θ), as it came. `mount` (3,): the
-        sensor's frame in the frame of the poses. `extrapolate_s`: longest time after the last pose
-        for which the motion of the last two is taken to go on. `reach_m`: of the skin from the
-        sensor's axis."""
+        """`mount` (3,): the sensor's frame in the frame of the poses. `extrapolate_s`: longest time
+        after the last pose for which the motion of the last two is taken to go on. `reach_m`: of
+        the skin from the sensor's axis."""
         self.extrapolate_s = extrapolate_s
         self.taken = 0
         self.rejected = 0  # not finite, not later than the one before, far, or in the future
-        self._on_pose, self._mount = on_pose, mount
+        self._mount = mount
         self._lever_m = reach_m + (0.0 if mount is None else math.hypot(*mount[:2]))
         self._back, self._back_t = 0, math.inf  # poses in a row that went back, and the last time
         self._kept: deque[TakenPose] = deque(maxlen=KEPT)
@@ -72,8 +67,6 @@ class PoseTrack:
         self._back = 0
         self.taken += 1
         self._kept.append(TakenPose(t, (x, y, theta)))
-        if self._on_pose is not None:
-            self._on_pose(t, float(x), float(y), float(theta))
 
     def clear(self) -> None:
         """Forget all poses: their times are of another clock."""

@@ -14,7 +14,7 @@ from taxeld.estimator.scans import noise_of
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import Activation
 from taxeld.pipeline.freshness import LinkInputs, Why
-from taxeld.pipeline.poses import OnPose, Pace, PoseTrack, StandingStill
+from taxeld.pipeline.poses import Pace, PoseTrack, StandingStill
 from taxeld.skin.calibration import Calibration, SkinState
 from taxeld.skin.skin import Skin
 from taxeld_protocol.decoder import Scan
@@ -46,7 +46,6 @@ class LinkStage:
         self,
         config: Config,
         layout: Layout,
-        on_pose: OnPose | None,
         calibration: Calibration | None,
         extrapolate_s: float,
     ) -> None:
@@ -60,7 +59,7 @@ class LinkStage:
         if config.sensor_pose.endpoint:
             mount = None if calibration is None else calibration.mount
             reach_m = float(np.hypot(*layout.position_m[:, :2].T).max())
-            self.poses = PoseTrack(on_pose, mount, extrapolate_s, reach_m)
+            self.poses = PoseTrack(mount, extrapolate_s, reach_m)
         self._pace = Pace(period_s if config.source.is_unstamped else math.inf)
         self.fresh = LinkInputs()
         self.inputs = InputCounters()

@@ -26,6 +26,7 @@ from taxeld.service.notify import Notifier
 from taxeld.service.prepare import digest, prepared
 from taxeld.service.publisher import LoopCounters, Publisher
 from taxeld.source.recorder import Recorder
+from taxeld.source.session import ClockStep, Item, Pass, SensorPose
 from taxeld.source.sources import polled
 from taxeld.stream import messages
 from taxeld.stream.link import Link
@@ -55,8 +56,7 @@ class Daemon:
             # the doors' processes start while the slow parts here load
             keepers = [contextlib.closing(Doorkeeper(each)) for each in settings_of(config)]
             self.doors = [opened.enter_context(each) for each in keepers]
-            on_poses = recorder.on_poses if recorder else []
-            made = prepared(config, time.time(), time.perf_counter_ns, on_poses)
+            made = prepared(config, time.time(), time.perf_counter_ns)
             self.config, self.layouts, self.pipeline = made.config, made.layouts, made.pipeline
             self.pipeline.thinks_at_once = False
             self._objects = bundle.scenes(made.bundles)
@@ -140,8 +140,9 @@ class Daemon:
         scan.
         """
         began_ns, now_s = time.thread_time_ns(), time.monotonic()
-        stepped, sources = self.clock.read()[1], self.inputs.sources
+        (wall_s, stepped), sources = self.clock.read(), self.inputs.sources
         if stepped:
+            self._record(ClockStep(wall_s, stepped))
             self.pipeline.clock_stepped(stepped)
             self.inputs.watch.clock_stepped()
         if ready.device and self.config.sensor_pose.endpoint:
@@ -174,6 +175,8 @@ class Daemon:
         start_ns, cpu_ns = time.perf_counter_ns() - source_ns, time.thread_time_ns()
         began_ns, source_us = cpu_ns - source_ns, source_ns / 1000.0
         pipeline, publisher, wall_s = self.pipeline, self.publisher, time.time()
+        if scans or pipeline.has_waiting:
+            self._record(Pass(wall_s))
         for outcome in pipeline.advance(scans, wall_s):
             pipeline.freshness.came(now_s, outcome.link)
             start_ns = publisher.outcome(outcome, source_us, start_ns, now_s)
@@ -199,6 +202,10 @@ class Daemon:
         for door in self.doors:
             door.look(now_s)
 
+    def _record(self, item: Item, link: int = 0, t: float | None = None) -> None:
+        if self.recorder is not None:
+            self.recorder.take(item, link, t)
+
     def _judge_touch(self, took_ns: int) -> None:
         """Have fewer samples drawn where touches take more CPU time than there is between scans."""
         hubs = sum(stage.skin.hubs for stage in self.pipeline.stages)
@@ -214,6 +221,7 @@ class Daemon:
         self, t: float, x: float, y: float, theta: float, came: float, link: int = 0
     ) -> None:
         """A pose of a link's sensor, which came at that Unix time."""
+        self._record(SensorPose(t, x, y, theta), link, came)
         self.pipeline.stages[link].poses.add(t, x, y, theta, came)
         if not link:
             self.inputs.watch.add(t, came, is_far=max(abs(x), abs(y)) > FAR_M)

@@ -1,14 +1,12 @@
 """What a run needs beside devices: layouts, bundles, calibrations, and the pipeline of them."""
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.samples import ClockNs
@@ -29,13 +27,11 @@ def prepared(
     config: Config,
     t: float,
     clock: ClockNs | None = None,
-    on_poses: Sequence[OnPose] = (),
     *,
     recorded: bool = False,
 ) -> Prepared:
     """All parts, for a start at Unix time `t`. With a `clock` [ns] samples are chosen by their cost
-    on this machine. `on_poses`: as of Pipeline. What is `recorded` may be older than its
-    calibration, and has all its poses.
+    on this machine. What is `recorded` may be older than its calibration.
 
     Raises:
         SetupError: one of them cannot be used.
@@ -48,8 +44,8 @@ def prepared(
     bundles = bundle.load_all(config.scene, skins, config.skin.full_scale_depth_m)
     config = bundle.sized(config, [one.manifest for one in bundles])
     samples = choice.samples(bundles, config.filter, clock)
-    models, ahead_s = [one.model for one in bundles], 0.0 if recorded else EXTRAPOLATE_S
-    pipeline = Pipeline(config, skins, models, samples, on_poses, calibrations, ahead_s)
+    models = [one.model for one in bundles]
+    pipeline = Pipeline(config, skins, models, samples, calibrations)
     for _, numbers in config.buses:
         wirings = [pipeline.stages[k].skin.wiring for k in numbers]
         for wiring in wirings:

@@ -17,8 +17,8 @@ from taxeld_protocol.modules import Module, listed
 
 FILE = "modules.toml"
 CURE = (
-    f"list them as [SUI, mask] in the order in which the hub sends them: 'taxeld record' writes "
-    f"that list ({FILE}) where it starts the skin itself"
+    "list them as [SUI, mask] in the order in which the hub sends them: 'taxeld export' writes "
+    f"that list ({FILE}) of a session in which taxeld has started the skin"
 )
 
 

@@ -23,7 +23,7 @@ from taxeld.source.bus_faults import BusHealth
 from taxeld.source.device import AwayError, Device, LostError, Noticed
 from taxeld.source.links import LinkTable, joint
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Item
+from taxeld.source.session import Item, Late
 from taxeld_protocol import cyskin
 from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Decoder, Scan
@@ -35,6 +35,8 @@ CLOSE_S = 0.2  # time for the last requests to leave the device
 PATIENCE_S = 1.0  # requests that wait longer are dropped; an adapter's channel opens in less
 STOPPED_S = 0.25  # time without a poll after which the loop had been stopped,
 STOPPED_PERIODS = 2  # or these scan periods, if they are longer
+BACKLOG_S = 1.0  # most time in which a line then gives what had waited
+QUIET_PERIODS = 0.5  # scan periods without data, after which nothing more had waited
 FRAME_BITS = 116  # a frame with 8 bytes and a short id, with the stuff bits of usual readings
 HELD_MAX = 256  # arrays between two polls; beyond, the oldest are lost
 SILENT_S = 1.0  # without a good array for so long, a line says why
@@ -75,10 +77,10 @@ class Source:
         self.bus = BusHealth()  # of a CAN bus
         self._recorder = recorder
 
-    def _record(self, items: Iterable[Item]) -> None:
+    def _record(self, items: Iterable[Item], t: float | None = None) -> None:
         if self._recorder is not None:
             for item in items:
-                self._recorder.take(item, self.links.numbers[0])
+                self._recorder.take(item, self.links.numbers[0], t)
 
     def poll(self, now_s: float) -> list[Scan]:
         """Take what has arrived; → the scans that it ends. `now_s` is monotonic."""
@@ -155,9 +157,12 @@ class LiveSource(Source):
         self._given_up_s = math.inf  # and when they are given up
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._amiss: dict[str, str] = {}  # a line on each subject that was amiss
-        stopped_s = max(STOPPED_S, STOPPED_PERIODS * config.period_ms / 1000.0)
+        period_s = config.period_ms / 1000.0
+        stopped_s = max(STOPPED_S, STOPPED_PERIODS * period_s)
         self._stopped_s = stopped_s if config.is_unstamped else math.inf
+        self._quiet_s = QUIET_PERIODS * period_s
         self._polled_s = math.inf  # time of the last poll of this device, or of its opening
+        self._came_s = self._late_until_s = -math.inf  # when data came last; as of `_judge`
         try:
             self._take(self._open())
         except SetupError as error:
@@ -211,8 +216,7 @@ class LiveSource(Source):
 
     def _exchange(self, device: Device, now_s: float) -> list[Scan]:
         """One turn: hear what has come, and send what is due. Raises LostError."""
-        is_late = now_s > self._polled_s + self._stopped_s
-        self._polled_s = now_s
+        is_late = self._judge(now_s)
         scans = self._hear(device, now_s, is_late=is_late)
         if self._bring_up is not None:
             lacks = self._ask(self._bring_up, scans, now_s)
@@ -237,17 +241,28 @@ class LiveSource(Source):
             scans = []
         return scans
 
+    def _judge(self, now_s: float) -> bool:
+        """Whether the data of this poll had waited while the loop was stopped. The system hands on
+        such data bit by bit, until a pause shows that the rest comes as it is sent."""
+        if now_s > self._polled_s + self._stopped_s:
+            self._late_until_s = now_s + BACKLOG_S
+        elif now_s > self._came_s + self._quiet_s:
+            self._late_until_s = now_s
+        self._polled_s = now_s
+        return now_s < self._late_until_s
+
     def _hear(self, device: Device, now_s: float, *, is_late: bool) -> list[Scan]:
         """Decode what waits in the device; → scans. Raises LostError.
 
-        `is_late`: the loop was stopped. Nothing tells when came what then waited on the line, which
-        dates its data when they are read; so all of it is read now, and not recorded.
+        `is_late`: as of `_judge`. Nothing tells when came what waited on the line, which dates its
+        data when they are read; so all of it is read now.
         """
         items = [*device.read()]
         while is_late and (more := device.read()):
             items += more
-        if not is_late:
-            self._record(items)
+        self._record([*items, Late(time.time())] if is_late else items)
+        if items:
+            self._came_s = now_s
         decoded = [*self.decoder.take(items)]
         if decoded or (items and isinstance(items[0], Frame)):  # a line's bytes may be answers
             self.bus.hear(now_s)
@@ -356,11 +371,10 @@ class ArraySource(Source):
         scans: list[Scan] = []
         while self._held:
             frame = self._held.popleft()
+            self._record([frame], self.decoder.now_t)
             scans += self.decoder.feed(frame)[1]
             if self.decoder.fault:
                 self._say(self.decoder.fault)
-            else:
-                self._record([frame])
         if scans:
             self._good_s, self.waits_for = now_s, ""
         elif now_s > self._good_s + SILENT_S:

@@ -3,10 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
-from taxeld.commands.replay import open_pipeline, sources_of
+from taxeld.commands.replay import RecordedInputs, open_pipeline
 from taxeld.config.tables import Config, SceneConfig
 from taxeld.errors import SetupError
 from taxeld.source import session
+from taxeld.source.session import Pass
 from taxeld_hil.acceptance.checks import rules
 from taxeld_hil.acceptance.recorded import RecordedSkin
 from taxeld_hil.rules import Rule
@@ -37,13 +38,13 @@ def recorded(directory: Path, config: Config) -> list[RecordedSkin]:
     """What a session has of the skin of each link. Raises SetupError."""
     pipeline, end_t = open_pipeline(directory, config), 0.0
     found = [RecordedSkin(stage.skin, stage.config.source.period_ms) for stage in pipeline.stages]
-    sources = sources_of(directory, pipeline)
-    for record in session.records(directory):
-        end_t = record.t
-        for source in sources:
-            for scan in source.take(record):
-                found[scan.link].take(scan)
-    for source, (_, numbers) in zip(sources, config.buses, strict=True):
-        for k in numbers:
+    inputs = RecordedInputs(directory, pipeline)
+    for arrival in session.arrivals(directory):
+        end_t = arrival.t
+        inputs.take(arrival)
+        for scan in inputs.scans() if isinstance(arrival.item, Pass) else ():
+            found[scan.link].take(scan)
+    for source in inputs.sources:
+        for k in source.links.numbers:
             found[k].end(end_t, source.decoder)
     return found

@@ -113,10 +113,10 @@ def checked(directory: Path, config: Config, placed: Poses | None) -> list[Rule]
 def _pressed(directory: Path, config: Config, placed: Poses | None, least_idle_s: float) -> Pressed:
     """A replay of a session, and the fit to its presses."""
     only_object(config)
-    if not (directory / session.POSES).exists():
+    if not session.head(directory)[1].moves:
         raise SetupError(
-            f"{directory / session.POSES}: is missing; a calibration needs the robot's poses, so "
-            "record with sensor_pose.endpoint"
+            f"{directory}: has no robot; a calibration needs the robot's poses, so record with "
+            "sensor_pose.endpoint"
         )
     placed = session.truth(directory) if placed is None else placed  # left by a harness
     pipeline = open_pipeline(directory, config)

@@ -103,7 +103,7 @@ class Guided:
         config = uncalibrated(config)
         names = (".session" if k == 1 else f".session-{k}" for k in count(1))
         places = (out.with_suffix(name) for name in names)
-        self.directory = next(place for place in places if not (place / session.ABOUT).exists())
+        self.directory = next(place for place in places if not (place / session.ARRIVALS).exists())
         self._recording = Recording(config, config_path, self.directory)
         self._observer = Observer(prepared(config, time.time()).pipeline)
         self._begun_s = self._next_look_s = time.monotonic()

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgpack
 
 from taxeld.errors import SetupError
-from taxeld.source.session import Item
+from taxeld.source.session import Item, Pass, SensorPose
 from taxeld.stream import topics
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import ArrayPort, CanPort, Feed, NativePort, Port, SlcanPort
@@ -97,6 +97,8 @@ class Bench:
                 ledger.deliver(unit, time.monotonic())
             else:
                 ledger.refused += 1
+        if units:
+            self._record(Pass(wall))
 
     def _publish(self, row: tuple[float, float, float, float]) -> None:
         wall, x, y, theta = row
@@ -105,4 +107,4 @@ class Bench:
             body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
             self.poses.send(topics.SENSOR_POSE, body, b"%.6f" % wall)
             self.rig.ledger.poses_heard += 1
-        self._record(row)
+        self._record(SensorPose(*row))

@@ -25,7 +25,7 @@ from taxeld.skin.calibration import SkinState
 from taxeld.source.device import Device, LostError
 from taxeld.source.opening import open_sources
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Item
+from taxeld.source.session import Item, Pass, SensorPose
 from taxeld.source.sources import ArraySource, LiveSource, Source, polled
 from taxeld.stream import messages, topics
 from taxeld_hil.grade.session import add
@@ -246,10 +246,12 @@ class FakeRun(SessionRun):
         for link, rig in enumerate(self.rigs):
             for row in rig.poses(t, t, t):
                 if self._recorder is not None:
-                    self._recorder.take(row, link)
+                    self._recorder.take(SensorPose(*row), link, t)
                 if self.daemon is not None:
                     rig.ledger.poses_heard += 1
                     self.daemon.pose(*row, link)
+        if self._recorder is not None:
+            self._recorder.take(Pass(t))
         if self.daemon is None:
             return
         self.daemon.tick(t)
@@ -274,7 +276,7 @@ class FakeRun(SessionRun):
 
     def _play(self, directory: Path, _: Path) -> None:
         write_truth(directory, self.rig.world.truth)
-        with Recorder(directory, moves=True, links=len(self.rigs)) as self._recorder:
+        with Recorder(directory, moves=True) as self._recorder:
             for link, line in enumerate(self.lines):
                 line.record = partial(self._recorder.take, link=link)
             self.run()

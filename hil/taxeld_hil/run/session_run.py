@@ -73,8 +73,7 @@ class SessionRun(ABC):
 def write_truth(directory: Path, truth: Poses) -> None:
     """Write truth.csv of a session; it is complete as soon as it exists."""
     row = ",".join(f"{v:.6f}" for v in (time.time(), *truth))
-    header = ",".join(session.POSE_COLUMNS)
     directory.mkdir(parents=True, exist_ok=True)  # a recorder makes it with its first record
     partial = directory / f"{session.TRUTH}.partial"
-    partial.write_text(f"{header}\n{row}\n", encoding="ascii")
+    partial.write_text(f"t,x,y,theta\n{row}\n", encoding="ascii")
     partial.rename(directory / session.TRUTH)
