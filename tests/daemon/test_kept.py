@@ -124,7 +124,9 @@ def test_a_restarted_skin_and_belief_know_what_they_knew_unless_the_object_was_m
     assert waits.status is not Status.CONVERGED
     assert waits.hypotheses.moved == pytest.approx(MOVED, abs=0.01)
     world.truth = se2.compose(TRUTH, moved)
-    assert near(world.find(after.estimator), world.truth)
+    assert near(
+        world.find(after.estimator, least=4), world.truth
+    )  # two touches may fit both places
 
 
 def test_a_restart_learns_the_silences_that_the_belief_remembers_however_many_came_since(
