@@ -21,9 +21,6 @@ from tests.rig.commands import printed, refused
 from tests.rig.configurations import Table
 from tests.rig.recorded import golden, write_golden
 
-DECLARED = "501#3C0301000C8C"  # one module of 12 channels
-
-
 FAULTS = [  # of what a run opens; those of keys alone are of the configuration's tests
     ("scene", "bundle", "sphere", "scene.bundle: no bundle 'sphere'; shipped are box, drill, mug"),
     (

@@ -1,6 +1,7 @@
 """Every shipped scenario passes, on the fake clock; over real transports a rough one does."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -176,6 +177,6 @@ def test_what_was_recorded_on_hardware_is_graded_by_its_replay(
     assert "not graded: only a virtual skin keeps a ledger" in graded
     x, y, theta = map(float, truth)
     assert cli.main(["grade", str(session), "--truth", f"{x + 0.05}", f"{y}", f"{theta}"]) == 1
-    assert "FAIL  accuracy: 50" in capsys.readouterr().out
+    assert re.search(r"FAIL  accuracy: (49|50)\.", capsys.readouterr().out)
     assert cli.main(["grade", str(session)]) == 0
     assert "not graded: the true pose is not known" in capsys.readouterr().out

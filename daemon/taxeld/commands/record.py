@@ -59,11 +59,15 @@ class Recording:
         """
         config, recorder = self.config, self._recorder
         link = Link({}, self._on_pose, {})
-        skins = [layouts.load(one.skin.layout) for one in config.each]
+        skins, passes_s = [layouts.load(one.skin.layout) for one in config.each], 0.0
         with recorder, closing(Inputs(config, skins, link, recorder)) as inputs:
             while not ends() and not self.failed:
-                scans = inputs.poll(time.monotonic())
+                now_s = time.monotonic()
+                scans = inputs.poll(now_s)
                 if scans:
+                    link.ask_poses(also_next=True)
+                    passes_s = now_s + config.sensor_pose.wait_s + POLL_S
+                if now_s < passes_s:  # scans may wait for poses, as in a daemon
                     recorder.take(Pass(time.time()))
                 self.scans += len(scans)
                 on_poll([scan for scan in scans if not scan.link], self._tracks[0])
