@@ -23,27 +23,19 @@ class Chunk(NamedTuple):
 # candump -L: "(1700000000.123456) can0 101#431A000027102711"; ids of 8 digits are extended. The
 # digits of a time are bounded, as no clock has more and no float holds 400.
 _LINE = re.compile(
-    r"(?:\((?P<t>\d{1,12}\.\d{1,9})\)\s+(?P<on>\S+)\s+)?(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#"
+    r"(?:\((?P<t>\d{1,12}\.\d{1,9})\)\s+\S+\s+)?(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#"
     r"(?P<data>(?:[0-9A-Fa-f]{2}){0,8})(?:\s+[RT])?\s*",
     re.ASCII,
 )
 
 
-def parse_logged(text: str) -> tuple[str, Frame] | None:
-    """The interface and frame of a line of `candump -L`, or of its bare `id#data`, which names no
-    interface; None for anything else."""
+def parse_log_line(text: str) -> Frame | None:
+    """The frame of a line of `candump -L`, or of its bare `id#data`; None for anything else."""
     match = _LINE.fullmatch(text)
     if match is None:
         return None
     digits, t = match["id"], float(match["t"] or 0.0)
-    frame = Frame(t, int(digits, 16), bytes.fromhex(match["data"]), len(digits) == 8)
-    return match["on"] or "", frame
-
-
-def parse_log_line(text: str) -> Frame | None:
-    """The frame of a line, as `parse_logged`."""
-    found = parse_logged(text)
-    return None if found is None else found[1]
+    return Frame(t, int(digits, 16), bytes.fromhex(match["data"]), len(digits) == 8)
 
 
 def format_log_line(frame: Frame, channel: str = "can0") -> str:
