@@ -12,7 +12,6 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,16 +46,6 @@ def run(code: str, names: dict[str, Any]) -> str:
     return said.getvalue()
 
 
-@contextlib.contextmanager
-def working_in(place: Path) -> Iterator[None]:
-    before = Path.cwd()
-    os.chdir(place)
-    try:
-        yield
-    finally:
-        os.chdir(before)
-
-
 def keep_outputs(notebook: Path, place: Path) -> None:
     """Run a notebook in `place`, and write what its cells print and draw into it."""
     held = json.loads(notebook.read_text(encoding="utf-8"))
@@ -64,7 +53,7 @@ def keep_outputs(notebook: Path, place: Path) -> None:
     for cell in held["cells"]:
         if cell["cell_type"] != "code":
             continue
-        with working_in(place):
+        with contextlib.chdir(place):
             said = run("".join(cell["source"]), names)
         lines = said.splitlines(keepends=True)
         printed = {"name": "stdout", "output_type": "stream", "text": lines}

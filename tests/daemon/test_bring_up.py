@@ -4,6 +4,8 @@ import itertools
 import logging
 import random
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -89,20 +91,13 @@ class HubBus:
 
 
 class Deaf(VirtualIhb):
-    """It does not answer some commands."""
+    """To some commands it answers nothing, or something else."""
 
-    to: frozenset[int] = frozenset()
-
-    def answer(self, packet: Packet) -> list[Answer]:
-        return [] if packet.command in self.to else super().answer(packet)
-
-
-class Unable(VirtualIhb):
-    """It says that it cannot ask its modules."""
+    to: Mapping[int, list[Answer]] = MappingProxyType({})
 
     def answer(self, packet: Packet) -> list[Answer]:
-        says = (Command.ERROR, bytes((Command.MODULE_DETAILS, ErrorCode.NOT_SUPPORTED)))
-        return [says] if packet.command == Command.MODULE_DETAILS else super().answer(packet)
+        command = packet.command
+        return self.to[command] if command in self.to else super().answer(packet)
 
 
 class Odd(VirtualIhb):
@@ -114,13 +109,19 @@ class Odd(VirtualIhb):
         return [(Command.DECLARE, bytes((1, 0, 3)))] if declares else answers
 
 
-def pair(one: int, two: int, kind: type[VirtualIhb] = Deaf, *deaf: int) -> tuple[VirtualIhb, Any]:
-    """Two hubs of one module each, with these short ids; the second of a kind, deaf to commands."""
-    other = kind(MODULES[1:2], 8, two)
-    if isinstance(other, Deaf):
-        other.to = frozenset(deaf)
-    return VirtualIhb(MODULES[:1], 7, one), other
+def pair(one: int, two: int, other: VirtualIhb | None = None) -> tuple[VirtualIhb, VirtualIhb]:
+    """Two hubs of one module each, with these short ids."""
+    return VirtualIhb(MODULES[:1], 7, one), other or Deaf(MODULES[1:2], 8, two)
 
+
+def deaf(*to: int, says: Sequence[Answer] = (), short_id: int = 2) -> Deaf:
+    """The second hub of a pair."""
+    made = Deaf(MODULES[1:2], 8, short_id)
+    made.to = {command: list(says) for command in to}
+    return made
+
+
+CANNOT_ASK = Command.ERROR, bytes((Command.MODULE_DETAILS, ErrorCode.NOT_SUPPORTED))
 
 lates = pytest.mark.parametrize("late", [False, True])
 
@@ -284,41 +285,38 @@ def test_hubs_that_exchange_their_ids_keep_their_own_tables_and_lost_packets_are
 
 
 @pytest.mark.parametrize(
-    ("kind", "deaf"),
+    "bad",
     [
-        (Deaf, [Command.MODULE_DETAILS]),
-        (Deaf, [Command.DISCOVERY_RECV_ID]),
-        (Unable, []),
-        (Odd, []),
-        (LateHub, []),
-        (VirtualIhb, []),
+        deaf(Command.MODULE_DETAILS),
+        deaf(Command.DISCOVERY_RECV_ID),
+        deaf(Command.MODULE_DETAILS, says=[CANNOT_ASK]),
+        Odd(MODULES[1:2], 8, 2),
+        LateHub(MODULES[1:2], 8, 2),
+        VirtualIhb(MODULES[1:2], 8, 2),
     ],
     ids=["is mute", "takes no id", "cannot ask its modules", "is refused", "reboots", "is gone"],
 )
-def test_what_happens_to_one_hub_does_not_keep_another_from_streaming(
-    kind: type[VirtualIhb], deaf: list[int]
-) -> None:
-    good, bad = pair(1, 2, kind, *deaf)
-    bus = HubBus(good, bad, late=True).run(3.0)
+def test_what_happens_to_one_hub_does_not_keep_another_from_streaming(bad: VirtualIhb) -> None:
+    bus = HubBus(*pair(1, 2, bad), late=True).run(3.0)
     begun = len(bus.said)
     bad.reboot()
-    if kind is VirtualIhb:
+    if type(bad) is VirtualIhb:
         bus.hubs.remove(bad)
     bus.run(33.0)
     assert len(bus.scans_s[7]) >= 30 * 48
     assert len(bus.said) - begun <= 30 * 5
     asked = {command for _, to, command in bus.said[begun:] if to in (1, BROADCAST)}
     assert asked <= {*NAMED}, "the other is left alone"
-    assert kind is not LateHub or bus.scans_s[8][-1] > 32.9
+    assert not isinstance(bad, LateHub) or bus.scans_s[8][-1] > 32.9
 
 
-@pytest.mark.parametrize("deaf", [Command.DISCOVERY_RECV_ID, Command.DISCOVERY_PING])
-def test_of_two_hubs_that_share_an_id_neither_is_misread_once_that_is_known(deaf: int) -> None:
+@pytest.mark.parametrize("to", [Command.DISCOVERY_RECV_ID, Command.DISCOVERY_PING])
+def test_of_two_hubs_that_share_an_id_neither_is_misread_once_that_is_known(to: int) -> None:
     """None streams while one does not take its own id."""
-    one, two = pair(1, 1, Deaf, deaf)
-    bus = HubBus(one, two, suis=SUIS[:2]).run(30.0)
-    assert bool(bus.wrong) is bool(bus.scans_s) is (deaf == Command.DISCOVERY_PING)
-    two.to = frozenset()
+    two = deaf(to, short_id=1)
+    bus = HubBus(*pair(1, 1, two), suis=SUIS[:2]).run(30.0)
+    assert bool(bus.wrong) is bool(bus.scans_s) is (to == Command.DISCOVERY_PING)
+    two.to = {}
     wrong = bus.run(36.0).wrong
     bus.run(40.0)
     assert min(bus.scans_s[7][-1], bus.scans_s[8][-1]) > 39.9

@@ -18,6 +18,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle, choice, manifest
 from taxeld.proposals.sampler import Sampler
+from tests.rig.commands import refuses
 
 from .conftest import DEPTH_MAX_M
 
@@ -157,8 +158,7 @@ def test_a_bundle_that_cannot_be_used_is_one_line(box: Path, change: Change, sai
 @pytest.mark.parametrize("name", ["party", "n" * 5000])
 def test_a_name_of_no_bundle_is_refused(name: str) -> None:
     assert fault("box", name).startswith(f"scene.bundles: no bundle '{name[:10]}")
-    with pytest.raises(SetupError, match=r"^scene\.bundle: no bundle"):
-        bundle.names(SceneConfig(bundle=name))
+    refuses(r"^scene\.bundle: no bundle", bundle.names, SceneConfig(bundle=name))
 
 
 @pytest.mark.parametrize(
@@ -258,6 +258,4 @@ def test_a_sampler_gives_poses() -> None:
     ],
 )
 def test_a_graph_that_is_no_sampler_is_one_line(content: bytes, said: str) -> None:
-    with pytest.raises(SetupError, match=rf"^{OWN}: unusable sampler \(.*{said}") as refused:
-        Sampler(content, SMALL, "density", OWN)
-    assert str(refused.value).isprintable()
+    refuses(rf"^{OWN}: unusable sampler \(.*{said}", Sampler, content, SMALL, "density", OWN)

@@ -275,12 +275,6 @@ def test_an_error_frame_of_a_driver_that_has_not_the_kernels_form_is_a_damaged_f
         assert counted(source) == {"error": 1}
 
 
-def test_every_fault_of_a_bus_names_its_cure() -> None:
-    for fault in BusFault:
-        has_cure = any(word in fault.line for word in ("check", "see that", "close other"))
-        assert has_cure or fault in bus_faults.NORMAL
-
-
 # time, the error frame that came (or None, or a data frame), and the news in the log
 OFF, BACK, ERRORS, NO_ACK = (
     Frame(0.0, classes, bytes((0, data, 0, 0, 0, 0, 0, 0)))

@@ -198,8 +198,7 @@ def test_what_is_said_to_be_granted_is_what_the_kernel_says(helper: int) -> None
         levels = [os.sched_getparam(k).sched_priority for k in (0, helper)]
         assert levels == ([7, 6] if granted.fifo else [0, 0])
         status = Path("/proc/self/status").read_text(encoding="ascii")
-        locked_kb = int(status.split("VmLck:")[1].split()[0])
-        assert bool(locked_kb) == granted.locked
+        assert bool(int(status.split("VmLck:")[1].split()[0])) == granted.locked
 
 
 def test_what_is_refused_is_reported_and_stops_nothing() -> None:

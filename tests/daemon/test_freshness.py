@@ -111,8 +111,7 @@ def test_an_estimate_where_the_object_cannot_be_is_not_valid_and_names_the_keys(
 
 def test_each_reason_has_a_cure_that_fits_a_terminal(estimate: Estimate) -> None:
     for why in Why:
-        said = used().sentence(why, estimate)
-        assert bool(said) == (why is not Why.VALID)
+        assert bool(used().sentence(why, estimate)) == (why is not Why.VALID)
         assert len(CURES[why]) <= WIDTH
     assert used().sentence(Why.NO_POSE, estimate, "no pose comes").endswith(" (no pose comes)")
     doubted = replace(estimate, p=0.0312, hypotheses=Hypotheses(0.09, 0.71, 0.2))

@@ -1,7 +1,6 @@
 """What skins and beliefs have learned, kept over restarts."""
 
 import contextlib
-import errno
 import io
 import itertools
 import logging
@@ -23,7 +22,6 @@ from hypothesis import strategies as st
 from taxeld import files
 from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig
-from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.evidence import MOVED
@@ -40,6 +38,7 @@ from taxeld.stream import pair
 from taxeld.stream.link import Link
 from taxeld.stream.pair import Kind
 from tests.rig.clocks import until
+from tests.rig.commands import refuses
 from tests.rig.disks import disk
 from tests.rig.memories import remembered
 from tests.rig.pressed_box import TRUTH, World, box_side, estimator
@@ -115,8 +114,7 @@ def test_a_restarted_skin_and_belief_know_what_they_knew_unless_the_object_was_m
     before.end()
     assert [path.name for path in before.place.iterdir()] == [NAME]
     after = begin()
-    activation = after.skin.on_scan(simulated.scan())
-    assert activation is not None
+    assert after.skin.on_scan(simulated.scan()) is not None
     assert np.abs(after.skin.baseline - before.skin.baseline).max() < 0.01
     waits = after.estimator.estimate
     assert near(waits, TRUTH)
@@ -159,7 +157,6 @@ def test_scans_with_and_without_noise_of_links_of_two_sizes_come_back() -> None:
     (first, number), (second, _) = scans_of(scan_arrays(scans))
     assert (number, first.noise, first.link, second.link) == (3, None, 0, 1)
     assert first.floor == pytest.approx(np.full(3, 0.25))
-    assert second.noise is not None
     assert second.noise.sigma == pytest.approx(np.full(2, 0.5))
     assert second.noise.outliers == 0.125
     assert second.live.tolist() == [True, False]
@@ -334,9 +331,8 @@ def test_a_refused_start_leaves_the_kept_belief(whole: Callable[[], bytes], tmp_
     file = tmp_path / "state" / NAME
     file.write_bytes(whole())
     text = f'{settings(tmp_path)}[skin]\nstate_dir = "{tmp_path}/state"\n'
-    first = contextlib.closing(Daemon(parse(settings(tmp_path))))
-    with first, pytest.raises(SetupError, match="another daemon serves"):
-        Daemon(parse(text))
+    with contextlib.closing(Daemon(parse(settings(tmp_path)))):
+        refuses("another daemon serves", Daemon, parse(text))
     assert file.read_bytes() == whole()
 
 
@@ -428,20 +424,12 @@ def test_each_change_of_what_the_disk_takes_is_logged_and_each_failure_counted(
     assert run.store.failed == 4
 
 
-def test_each_door_is_handed_what_was_felt_out_of_contact_at_most_once_a_second_and_failures_pass(
-    begin: Begin, monkeypatch: pytest.MonkeyPatch
+def test_each_door_is_handed_what_was_felt_out_of_contact_at_most_once_a_second(
+    begin: Begin,
 ) -> None:
     run, relay = begin(), Link({}, lambda *_: None, {})
     link = Link({}, lambda *_: None, {}, relay)
     _, world = felt(run)
-    made, fails = os.memfd_create, iter((True, False))
-
-    def memfd_create(name: str) -> int:
-        if next(fails, False):
-            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
-        return made(name)
-
-    monkeypatch.setattr(os, "memfd_create", memfd_create)
     for began_s, step_s, each in ((0.0, 1.0, link), (1e6, 1.0, link), (2e6, 0.0, relay)):
         loops, door = pair.open_pair()
         each.attach(loops, began_s)
@@ -458,7 +446,6 @@ def test_each_door_is_handed_what_was_felt_out_of_contact_at_most_once_a_second_
             assert handed.keys() == told.keys()
             assert all(handed[name].tobytes() == told[name].tobytes() for name in told)
         door.close()
-    assert run.store.failed == 1
     world.find(run.estimator, least=1)
     run.store.remember(link, began_s + 0.9 * kept.MEMORY_S)
     assert not run.store._worker.behind

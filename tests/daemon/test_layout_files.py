@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import os
+import re
 import runpy
 from collections.abc import Callable
 from pathlib import Path
@@ -14,11 +15,11 @@ import pytest
 
 from taxeld.commands.layout import arc_rad, pitch_m, tilted
 from taxeld.config.tables import SourceConfig
-from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source.sources import live
 from taxeld_protocol.array import ArrayDecoder
 from taxeld_protocol.modules import NAMES
+from tests.rig.commands import refuses
 from tests.rig.skins import table_of
 
 RADIUS_M = 0.05
@@ -163,10 +164,7 @@ AT, OWN = "skin.taxels[12]", table_of(RING, uid=True)
 )
 def test_a_fault_names_its_place_and_the_cure(tmp_path: Path, content: Any, words: str) -> None:
     path = written(tmp_path, content, "own.csv" if isinstance(content, str) else "skin.json")
-    with pytest.raises(SetupError) as caught:
-        layouts.read(path)
-    assert str(caught.value).isprintable()
-    assert str(caught.value).startswith(f"skin.layout: {path}: {words}")
+    refuses("^" + re.escape(f"skin.layout: {path}: {words}"), layouts.read, path)
 
 
 def test_a_flat_patch_can_be_read_but_not_run(tmp_path: Path) -> None:
@@ -178,8 +176,11 @@ def test_a_flat_patch_can_be_read_but_not_run(tmp_path: Path) -> None:
     assert (skin.radius_m, math.isnan(skin.rms_m)) == (math.inf, True)
     np.testing.assert_allclose(skin.normal, [[0, 0, 1]] * 40)
     np.testing.assert_allclose(skin.position_m[:, 2], 0.0, atol=1e-12)
-    with pytest.raises(SetupError, match=r"skin\.layout: skin: its 40 taxels lie on no cylinder"):
-        layouts.load(str(tmp_path / "skin.json"))
+    refuses(
+        r"skin\.layout: skin: its 40 taxels lie on no cylinder",
+        layouts.load,
+        str(tmp_path / "skin.json"),
+    )
 
 
 @pytest.mark.parametrize("uid", [False, True])
@@ -204,8 +205,9 @@ def test_a_table_without_normals_has_those_of_its_cylinder(tmp_path: Path) -> No
 def test_uids_that_no_module_has_are_of_arrays_alone() -> None:
     own = dataclasses.replace(RING, uid=np.arange(len(RING)))
     ArrayDecoder(own.uid.tolist())
-    with pytest.raises(SetupError, match=r"skin\.layout: its UIDs are of no module.*of an array"):
-        live(SourceConfig(kind="can"), own)
+    refuses(
+        r"skin\.layout: its UIDs are of no module.*of an array", live, SourceConfig(kind="can"), own
+    )
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real layouts are not beside this checkout")

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,6 @@ from taxeld.commands import check, replay
 from taxeld.commands.record import recorder_of
 from taxeld.config.file import load, parse
 from taxeld.config.tables import FilterConfig
-from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.likelihood import NumpyExplainer
@@ -28,12 +28,14 @@ from taxeld.source.links import joint
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import SensorPose
 from tests.rig.clocks import until
+from tests.rig.commands import refuses
 from tests.rig.pressed_box import TRUTH, World, box_side
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.virtual_hub import VirtualHub
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SECOND = SPEC + ",sui=9"
+SERVED = '[publish]\nendpoints = []\n[control]\nendpoint = ""\n'
 HEAD = '[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\n'
 
 
@@ -61,46 +63,30 @@ class TwoHubs:
         until(holds, self.tick)
 
 
-@pytest.fixture
-def open_links(tmp_path: Path) -> Iterator[Callable[[bool], TwoHubs]]:
-    opened: list[TwoHubs] = []
-
-    def make(one_bus: bool) -> TwoHubs:
-        skins = [layouts.load(SPEC), layouts.load(SECOND)]
-        wired = [joint(skins)] if one_bus else skins
-        simulated = [SimulatedSkin(layout, seed=k) for k, layout in enumerate(wired)]
+@pytest.fixture(params=[True, False], ids=["one bus", "two"])
+def rig(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[TwoHubs]:
+    skins = [layouts.load(SPEC), layouts.load(SECOND)]
+    wired = [joint(skins)] if request.param else skins
+    simulated = [SimulatedSkin(layout, seed=k) for k, layout in enumerate(wired)]
+    tables = [f'layout = "{spec}"\nstate_dir = "{tmp_path / "state"}"' for spec in (SPEC, SECOND)]
+    devices = [tmp_path / f"skin{k}" for k in ((0, 0) if request.param else (0, 1))]
+    text = links(*(f"{t}\n{source(d)}" for t, d in zip(tables, devices, strict=True)))
+    path = tmp_path / "skins.toml"
+    path.write_text(SERVED + text, encoding="utf-8")
+    with ExitStack() as opened:
         hubs = [
-            (VirtualHub(tmp_path / f"skin{k}", skin.modules, native=True), skin)
-            for k, skin in enumerate(simulated)
+            opened.enter_context(VirtualHub(device, skin.modules, native=True))
+            for device, skin in zip(devices, simulated, strict=False)
         ]
-        tables = [
-            f'layout = "{spec}"\nstate_dir = "{tmp_path / "state"}"' for spec in (SPEC, SECOND)
-        ]
-        devices = [tmp_path / f"skin{k}" for k in ((0, 0) if one_bus else (0, 1))]
-        text = links(*(f"{t}\n{source(d)}" for t, d in zip(tables, devices, strict=True)))
-        served = '[publish]\nendpoints = []\n[control]\nendpoint = ""\n'
-        path = tmp_path / "skins.toml"
-        path.write_text(served + text, encoding="utf-8")
         config = load(path)
-        recorder = recorder_of(config, path, tmp_path / "session")
-        found = TwoHubs(Daemon(config, recorder), hubs)
-        found.daemon.kept.restore()
-        opened.append(found)
-        return found
-
-    yield make
-    for each in opened:
-        each.daemon.close()
-        for hub, _ in each.hubs:
-            hub.unplug()
+        daemon = Daemon(config, recorder_of(config, path, tmp_path / "session"))
+        opened.callback(daemon.close)
+        daemon.kept.restore()
+        yield TwoHubs(daemon, [*zip(hubs, simulated, strict=True)])
 
 
-@pytest.mark.parametrize("one_bus", [True, False])
-def test_touches_of_two_links_are_one_beliefs(
-    open_links: Callable[[bool], TwoHubs], one_bus: bool, tmp_path: Path
-) -> None:
-    rig = open_links(one_bus)
-    pipeline = rig.daemon.pipeline
+def test_touches_of_two_links_are_one_beliefs(rig: TwoHubs, tmp_path: Path) -> None:
+    pipeline, one_bus = rig.daemon.pipeline, len(rig.hubs) == 1
     whys = pipeline.freshness.of_links
     rig.until(lambda: whys(time.monotonic()) == [Why.VALID, Why.VALID])
     assert len(rig.daemon.inputs.sources) == 2 - one_bus
@@ -141,11 +127,8 @@ def test_a_robots_clock_that_is_behind_the_other_ones_was_not_set(tmp_path: Path
 def test_two_links_of_the_same_modules_are_not_on_one_bus(tmp_path: Path) -> None:
     with VirtualHub(tmp_path / "skin", SimulatedSkin(layouts.load(SPEC)).modules, native=True):
         table = f'layout = "{SPEC}"\n{source(tmp_path / "skin")}'
-        text = '[publish]\nendpoints = []\n[control]\nendpoint = ""\n' + links(table, table)
-        with pytest.raises(
-            SetupError, match="link1 and link2 are on one bus, and both have module"
-        ):
-            Daemon(parse(text))
+        text = SERVED + links(table, table)
+        refuses("link1 and link2 are on one bus, and both have module", Daemon, parse(text))
         assert [fault for fault in check.faults(parse(text)) if "skin.layout" in fault] == [
             "skin.layout: link1 and link2 are on one bus, and both have module 1; "
             "give each link its own modules, or its own [skin.source]"
@@ -207,8 +190,7 @@ def test_a_link_that_never_touches_changes_nothing(model: ObservationModel) -> N
 def test_links_of_other_sizes_are_remembered_together() -> None:
     big, small = layouts.load(RING), layouts.load(RING.replace("rows=5", "rows=3"))
     scene = bundle.load("box", big).model.scene
-    of_small = ObservationModel(scene, small, 0.005)
-    model = ObservationModel(scene, big, 0.005, [of_small])
+    model = ObservationModel(scene, big, 0.005, [ObservationModel(scene, small, 0.005)])
     subject = subject_of(model)
     press(subject, model, [0, 1, 0, 1, 1, 0])
     assert subject.belief.metric.distance(subject.estimate.map, TRUTH) < 0.01

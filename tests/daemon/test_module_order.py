@@ -14,7 +14,6 @@ from taxeld.commands.record import Recording
 from taxeld.commands.replay import RecordedInputs, open_pipeline
 from taxeld.config.file import load, parse
 from taxeld.config.tables import SourceConfig
-from taxeld.errors import SetupError
 from taxeld.source import modules, session
 from taxeld.source.sources import LiveSource
 from taxeld_hil.rig.virtual_ihb import Phase, VirtualIhb
@@ -22,7 +21,7 @@ from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, listed
 from tests.rig import skins
-from tests.rig.commands import printed, refused
+from tests.rig.commands import printed, refused, refuses
 from tests.rig.configurations import QUIET, configuration
 from tests.rig.given_device import GivenDevice
 from tests.rig.sessions import write
@@ -116,8 +115,13 @@ def test_a_listener_reads_the_hubs_whose_modules_it_knows(
 
 def test_a_list_of_another_skin_is_refused() -> None:
     config = SourceConfig("can", channel="x", listen_only=True, modules=((3535, 0xFFF),))
-    with pytest.raises(SetupError, match=r"^source\.modules: none of its 1 modules is in [^\n]+$"):
-        LiveSource(config, {0: SKIN}, lambda _: GivenDevice())
+    refuses(
+        r"^source\.modules: none of its 1 modules is in [^\n]+$",
+        LiveSource,
+        config,
+        {0: SKIN},
+        lambda _: GivenDevice(),
+    )
 
 
 def heard_in(

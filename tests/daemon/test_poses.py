@@ -1,9 +1,11 @@
 """The sensor's poses over time: which are taken, what is told of a moment between them, and that an
 estimate from places that are badly known is less sure, never wrong."""
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import chain
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.pipeline.poses import AGE_S, BACK_MAX, EXTRAPOLATE_S, PACED, Pace, PoseTrack
 from taxeld.proposals.bundle import Bundle
+from taxeld.service.inputs import PoseWatch
+from taxeld.stream.link import PeerLine
 from taxeld_protocol.decoder import Scan
 from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.skins import SKIN
@@ -29,7 +33,6 @@ def test_poses_are_interpolated_through_the_turn() -> None:
     track.add(1.0, 0.0, 0.0, 3.1)
     track.add(1.1, 0.1, -0.2, -3.1)
     pose = track.at(1.05)
-    assert pose is not None
     assert np.allclose(pose[:2], [0.05, -0.1])
     assert np.isclose(abs(pose[2]), np.pi)
 
@@ -131,9 +134,7 @@ def test_a_robot_that_turns_back_between_two_poses_is_within_two_sd(back: float,
     track = PoseTrack()
     for k in range(7):
         track.add(0.1 * k, x(0.1 * k), 0.0, 0.0)
-    pose = track.at(t)
-    assert pose is not None
-    assert abs(pose[0] - x(t)) <= 2.0 * track.sd_m(t, 0.0) + 1e-9
+    assert abs(track.at(t)[0] - x(t)) <= 2.0 * track.sd_m(t, 0.0) + 1e-9
 
 
 def test_a_scan_that_may_be_late_counts_the_motion_before_it() -> None:
@@ -275,3 +276,109 @@ def test_a_scan_without_a_stamp_is_placed_no_nearer_than_it_was_read_late(
     assert why_not(box, 0.0, 0.005, source, late_s=0.06) is Why.UNTOUCHED
     assert why_not(box, 0.5, 0.005, source, late_s=0.06) is Why.NO_POSE
     assert why_not(box, 0.5, 0.005, CAN, late_s=0.06) is Why.UNTOUCHED
+
+
+NOW = 1_700_000_000.0
+PERIOD_S = 0.05
+ENDPOINT = "tcp://127.0.0.1:9874"
+Told = Callable[[float], float]
+
+
+def right(now: float) -> float:
+    return now - 0.002
+
+
+def look(watch: PoseWatch, now: float, **line: Any) -> None:
+    is_heard = line.pop("is_heard", True)
+    watch.look(now, PeerLine(**{"connected": True} | line), is_heard=is_heard)
+
+
+def watched(told: Told, rate_hz: float = 100.0, late_s: float = 0.0) -> PoseWatch:
+    """A watch, looked at once a second, over a robot that sends poses of the times `told` for
+    eight seconds."""
+    watch = PoseWatch(ENDPOINT, PERIOD_S)
+    sent = 0
+    for second in itertools.count(1):
+        while sent < rate_hz * min(second, 8.0):
+            now = NOW + sent / rate_hz
+            watch.add(told(now), now)
+            sent += 1
+        look(watch, NOW + second)
+        if second >= 8.0 + late_s:
+            return watch
+    raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("told", "rate_hz", "late_s", "fault"),
+    [
+        (right, 100.0, 0.0, ""),
+        (right, 25.0, 0.0, ""),
+        (lambda now: now - 4.2, 100.0, 0.0, "their times are not of this machine's clock"),
+        (lambda now: 1e3 * now, 100.0, 0.0, "their times are not of this machine's clock"),
+        (lambda now: now - NOW, 100.0, 0.0, "their times are not of this machine's clock"),
+        (right, 2.0, 0.0, "fewer poses than scans come: publish 100 a second"),
+        (right, 100.0, 5.0, f"connected to {ENDPOINT}, and no pose comes: publish"),
+    ],
+)
+def test_poses_tell_the_mistake(told: Told, rate_hz: float, late_s: float, fault: str) -> None:
+    found = watched(told, rate_hz, late_s).fault
+    assert found.startswith(fault)
+    assert bool(found) == bool(fault)
+
+
+@pytest.mark.parametrize(
+    ("line", "fault"),
+    [
+        ({"connected": False}, f"nobody serves {ENDPOINT}: start the publisher; it binds"),
+        ({"refused": True}, f"{ENDPOINT} refuses the daemon: both must use keys, or neither"),
+        ({}, f"connected to {ENDPOINT}, and no pose comes: publish /robot/sensor_pose"),
+    ],
+)
+def test_without_poses_the_connection_tells_the_mistake_also_while_the_door_is_not_heard(
+    line: dict[str, Any], fault: str
+) -> None:
+    watch = PoseWatch(ENDPOINT, PERIOD_S)
+    for second in range(3):
+        look(watch, NOW + second, **line)
+    assert watch.fault.startswith(fault)
+    look(watch, NOW + 3.0, is_heard=False)
+    assert watch.fault.startswith(fault)
+
+
+@pytest.mark.parametrize("is_far", [True, False])
+def test_messages_that_are_no_poses_or_in_millimetres_are_a_fault_while_they_come(
+    is_far: bool,
+) -> None:
+    watch, faults = watched(right), list[str]()
+    for k, n in enumerate((3, 6, 9, 9)):
+        watch.add(NOW, NOW, is_far=is_far and k < 3)
+        malformed = 0 if is_far else n
+        faults.append(heard(watch, NOW + 9.0 + k, malformed=malformed, reason="t is no number"))
+    said = "messages come and are no poses: t is no number"
+    if is_far:
+        said = "x or y is beyond 10 m: send metres, not millimetres"
+    assert faults == ["", "", said, ""]
+
+
+def heard(watch: PoseWatch, now: float, **line: Any) -> str:
+    """The fault after another second of right poses."""
+    for k in range(100):
+        watch.add(right(now - 0.01 * k), now - 0.01 * k)
+    look(watch, now, **line)
+    return watch.fault
+
+
+def test_a_machine_that_is_late_now_and_then_is_no_fault_of_the_robots_clock() -> None:
+    watch = PoseWatch(ENDPOINT, PERIOD_S)
+    for second in range(40):
+        late_s = 0.002 if second % 5 == 4 else 0.4
+        watch.add(NOW + second - late_s, NOW + second)
+        look(watch, NOW + second)
+        assert "times" not in watch.fault
+
+
+def test_a_clock_that_was_set_is_no_fault_of_the_robot() -> None:
+    watch = watched(right)
+    watch.clock_stepped()
+    assert [heard(watch, NOW + 3600.0 + second) for second in range(9, 12)] == [""] * 3

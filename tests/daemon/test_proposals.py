@@ -8,7 +8,6 @@ import pytest
 
 from taxeld.arrays import Floats
 from taxeld.config.tables import FilterConfig, SkinConfig
-from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
@@ -19,6 +18,7 @@ from taxeld.proposals import bundle, choice
 from taxeld.proposals.analytic import Manifold, Projection, Table, check_contacts
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.samples import PATIENCE, Samples
+from tests.rig.commands import refuses
 from tests.rig.configurations import config
 
 from .conftest import DEPTH_MAX_M, scene_of
@@ -95,8 +95,7 @@ def test_what_draws_contacts_gives_up_where_there_are_none(skin: Layout) -> None
     nowhere = scene_of(lambda x, _y: np.ones_like(x), skin, symmetry=1)
     model = ObservationModel(nowhere, skin, DEPTH_MAX_M)
     for draw in (check_contacts, Table):
-        with pytest.raises(SetupError, match="no contact"):
-            draw(model)
+        refuses("no contact", draw, model)
     z = np.eye(1, len(skin))[0]
     assert Projection(model).propose(z, LIVE, 2, np.random.default_rng(0)).shape == (0, 3)
 
@@ -129,8 +128,7 @@ def test_auto_is_the_bundles_first_choice_that_fits_the_budget(
 
 def test_a_bundle_without_a_kind_of_sampler_says_so(mug: Bundle) -> None:
     bare = replace(mug, manifest=replace(mug.manifest, samplers=(), auto=()))
-    with pytest.raises(SetupError, match=r"has no 'ddpm'; it has auto, "):
-        bare.proposal("ddpm")
+    refuses(r"has no 'ddpm'; it has auto, ", bare.proposal, "ddpm")
     assert bare.proposal("auto").name == "table"
     assert choice.possible([mug, bare], FilterConfig()) == list(mug.manifest.auto)
 

@@ -27,9 +27,9 @@ from tests.rig.commands import refused
 from tests.rig.configurations import configuration
 from tests.rig.recorded import write_session
 from tests.rig.skins import SKIN
+from tests.rig.stream_page import documented
 
 from .conftest import Sockets
-from .test_stream_document import documented
 
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
 TOPICS = topics.INFO, topics.TAXELS, topics.ESTIMATE, topics.PARTICLES

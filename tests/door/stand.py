@@ -116,14 +116,12 @@ class Stand(Sockets, Loop):
     def received(self, socket: zmq.Socket[Any]) -> list[bytes]:
         """The next message of a socket."""
         self.until(lambda: socket.poll(0))
-        parts: list[bytes] = socket.recv_multipart()
-        return parts
+        return socket.recv_multipart()
 
     def answer(self, request: object, endpoint: str = "", **options: int) -> dict[str, Any]:
         asking = self.socket(zmq.REQ, endpoint or self.control, **options)
         asking.send(msgpack.packb(request))
-        made: dict[str, Any] = msgpack.unpackb(self.received(asking)[0])
-        return made
+        return msgpack.unpackb(self.received(asking)[0])  # type: ignore[no-any-return]
 
     def asked_by_client(self, command: str, endpoint: str) -> dict[str, Any]:
         """What the command line's client is answered."""
@@ -145,8 +143,7 @@ class Stand(Sockets, Loop):
                 os._exit(0)
             self.until(lambda: select.select([own], [], [], 0)[0])
             os.wait()
-            made: dict[str, Any] = msgpack.unpackb(own.recv(65_536))
-            return made
+            return msgpack.unpackb(own.recv(65_536))  # type: ignore[no-any-return]
 
     def send_until(
         self, holds: Callable[[], object], socket: zmq.Socket[Any], *frames: bytes
@@ -174,9 +171,7 @@ class Stand(Sockets, Loop):
 
 def pid(keeper: Doorkeeper) -> int:
     """Of the door that is there."""
-    process = keeper._process
-    assert process is not None
-    return process.pid
+    return keeper._process.pid  # type: ignore[union-attr]
 
 
 def seq(parts: list[bytes]) -> int:

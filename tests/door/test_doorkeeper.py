@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zmq
 
 from taxeld.door.settings import LIMITS, OOM_SCORE, Settings
-from taxeld.errors import SetupError
 from taxeld.service import doorkeeper
 from taxeld.service.doorkeeper import Doorkeeper
+from taxeld.stream import topics
 
 from ..rig.clocks import until
+from ..rig.commands import refused, refuses
+from ..rig.configurations import configuration
 from ..rig.processes import free_port
+from ..rig.sockets import Sockets
 from .stand import INFO, Stand, pid, seq
 
 
@@ -67,9 +71,7 @@ def test_an_endpoint_that_cannot_be_served_is_one_line(
 ) -> None:
     (tmp_path / "precious").write_text("x", encoding="ascii")
     given = json.loads(json.dumps(settings).replace("{}", str(tmp_path)))
-    with pytest.raises(SetupError, match=f"^{said}") as error:
-        Stand(tmp_path, **given)
-    assert "\n" not in str(error.value)
+    refuses(f"^{said}", Stand, tmp_path, **given)
     assert (tmp_path / "precious").read_text(encoding="ascii") == "x"
 
 
@@ -113,8 +115,7 @@ def executable(place: Path, code: str) -> str:
 
 def test_a_second_daemon_leaves_the_first_ones_sockets_alone(tmp_path: Path) -> None:
     with Stand(tmp_path) as first:
-        with pytest.raises(SetupError, match="another daemon serves"):
-            Stand(tmp_path)
+        refuses("another daemon serves", Stand, tmp_path)
         first.received(first.listener(b"/taxeld/e"))
 
 
@@ -142,7 +143,6 @@ def test_a_door_ends_when_the_loop_has_let_it_go_or_is_gone_and_is_not_started_a
 ) -> None:
     with Stand(tmp_path) as stand:
         detach, process = stand.link.detach, stand.keeper._process
-        assert process is not None
 
         def until_it_has_ended() -> None:
             detach()
@@ -161,3 +161,65 @@ def test_a_door_that_does_not_start_is_ended_with_its_loop(
     process = until(lambda: keeper._newest)
     keeper.close()
     assert (process.poll(), keeper.starts) == (-signal.SIGKILL, 1)
+
+
+ABSENT = "192.0.2.1"  # of documents (RFC 5737): no machine has it
+AGAIN = "it is tried again each second"
+HERE = "'ip address' lists this machine's addresses"
+
+
+def taken(sockets: Sockets, endpoint: str) -> zmq.Socket[Any]:
+    made = sockets.open(zmq.REP)
+    made.bind(endpoint)
+    return made
+
+
+def test_where_an_address_cannot_be_had_the_rest_is_served_and_the_address_once_it_can(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    stream, control = (f"tcp://127.0.0.1:{free_port()}" for _ in range(2))
+    absent = f"tcp://{ABSENT}:{free_port()}", "tcp://nic77:9872"
+    with Sockets() as sockets:
+        thieves = [taken(sockets, endpoint) for endpoint in (stream, control)]
+        told = refused("check", configuration(tmp_path, relay={"publish": [stream]}))
+        assert told.startswith(f"relay.publish: cannot bind {stream} (Address already in use); ")
+        with Stand(tmp_path, relay_publish=(stream, *absent), relay_control=control) as stand:
+            stand.received(stand.listener(b"/taxeld/e"))
+            assert stand.answer({"cmd": "info"})["info"] == INFO
+            stand.until(lambda: stand.link.counts["unbound"] == 4)
+            for thief in thieves:
+                thief.close()
+            stand.until(lambda: stand.link.counts["unbound"] == 2)
+            stand.received(stand.listener(b"/taxeld/e", endpoint=stream))
+            assert stand.answer({"cmd": "info"}, control)["info"] == INFO
+            assert [keeper.starts for keeper in stand.keepers] == [1, 1]
+    assert [line for line in caplog.messages if stream in line] == [
+        f"door: relay.publish: cannot bind {stream} (Address already in use); 'ss -tlnp' tells "
+        f"which program has the port; {AGAIN}",
+        f"door: relay.publish: {stream} is bound",
+    ]
+    for endpoint in absent:
+        (line,) = (line for line in caplog.messages if endpoint in line)
+        assert line.startswith(f"door: relay.publish: cannot bind {endpoint} (")
+        assert line.endswith(f"; {HERE}; {AGAIN}")
+
+
+def test_a_socket_file_that_was_removed_is_made_anew_and_the_file_of_another_is_left(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Sockets() as sockets:
+        with Stand(tmp_path) as stand:
+            heard = stand.listener(topics.ESTIMATE)
+            before, lost = seq(stand.received(heard)), stand.losses(heard)
+            for path in tuple(tmp_path.iterdir()):
+                path.unlink()
+            stand.received(stand.listener(topics.ESTIMATE))
+            assert stand.answer({"cmd": "info"})["info"] == INFO
+            assert seq(stand.received(heard)) == before + 1
+            assert not lost.poll(0)
+            taken(sockets, stand.stream)
+            stand.until(lambda: stand.link.counts["unbound"])
+        assert [path.name for path in tmp_path.iterdir()] == ["stream"]
+    said = f"door: publish.endpoints: {stand.stream} was removed; {AGAIN}"
+    assert caplog.messages.count(said) == 2

@@ -132,7 +132,14 @@ def test_a_cmake_project_uses_the_header(tmp_path: Path, found_by: str) -> None:
 
 
 def test_the_manifests_have_the_version_and_files_that_are_there() -> None:
-    """Of CMake, and of PlatformIO: its required fields and those that name files."""
+    """Of the header, of CMake, and of PlatformIO: its required fields and those that name files."""
+    header = (C / "taxeld_protocol.h").read_text(encoding="utf-8")
+    parts = re.findall(r"#define TAXELD_PROTOCOL_VERSION_[A-Z]+ (\d+)", header)
+    number = int("".join(f"{int(part):02d}" for part in parts))
+    assert (".".join(parts), f"VERSION {number}L " in header.replace("\n", " ")) == (
+        __version__,
+        True,
+    )
     project = (C / "CMakeLists.txt").read_text(encoding="utf-8")
     assert re.findall(r"project\(.* VERSION (\S+)", project) == [__version__]
     library = json.loads((C / "library.json").read_text(encoding="utf-8"))

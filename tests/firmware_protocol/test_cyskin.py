@@ -1,12 +1,14 @@
 """Packets and their fragments on CAN."""
 
+import re
+from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from taxeld_protocol import commands
+from taxeld_protocol import commands, serial_link, slcan
 from taxeld_protocol.cyskin import (
     FRAGMENT_BYTES,
     LEAVE_BOOTLOADER,
@@ -18,6 +20,8 @@ from taxeld_protocol.cyskin import (
     to_frames,
 )
 from taxeld_protocol.frames import Frame, format_log_line, parse_log_line
+from taxeld_protocol.serial_link import SerialReader
+from taxeld_protocol.slcan import SlcanReader
 
 # candump lines of a scan, computed by hand from the rules of the wire
 GOLDEN_SCAN = [
@@ -33,9 +37,7 @@ packets = st.tuples(
 
 
 def golden(text: str) -> Frame:
-    frame = parse_log_line(text)
-    assert frame is not None
-    return frame
+    return parse_log_line(text)  # type: ignore[return-value]
 
 
 def test_the_frame_that_ends_the_bootloader_is_the_published_one() -> None:
@@ -57,8 +59,7 @@ def test_only_what_fits_the_last_fragment_may_follow_a_packet(payload: bytes, mo
     """Where fragments of two packets are taken for one, the first's checksum may still be right."""
     link = Reassembler()
     frames = fragment(encode(0x43, payload) + bytes(more), 1)
-    packet = [link.feed(frame) for frame in frames][-1]
-    assert (packet is None) == (more >= FRAGMENT_BYTES)
+    assert ([link.feed(frame) for frame in frames][-1] is None) == (more >= FRAGMENT_BYTES)
     assert link.counters.length_errors == (more >= FRAGMENT_BYTES)
 
 
@@ -67,8 +68,7 @@ def test_hubs_may_interleave(sent: list[tuple[int, bytes, int]], random) -> None
     queues = [to_frames(c, p, ihb=ihb) for ihb, (c, p, _) in enumerate(sent, 1)]
     link, got = Reassembler(), []
     while any(queues):
-        queue = random.choice([q for q in queues if q])
-        packet = link.feed(queue.pop(0))
+        packet = link.feed(random.choice([q for q in queues if q]).pop(0))
         if packet:
             got.append((packet.ihb, packet.command, packet.payload))
     assert sorted(got) == [(ihb, c, p) for ihb, (c, p, _) in enumerate(sent, 1)]
@@ -147,3 +147,140 @@ def test_the_fields_of_every_command_round_trip_and_another_length_is_none(
         payload = encode(command, **fields)
         assert decode(command, payload) == fields
         assert decode(command, payload + b"\0") is decode(command, payload[:-1]) is None
+
+
+def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
+    """`data` cut at places that `cuts` choose."""
+    at = sorted({cut % (len(data) + 1) for cut in cuts} | {0, len(data)})
+    return [data[a:b] for a, b in pairwise(at)]
+
+
+@given(st.lists(st.one_of(packets, st.binary(max_size=400)), max_size=8))
+def test_noise_costs_only_what_it_touches(parts: list[tuple[int, bytes, int] | bytes]) -> None:
+    reader, got, wanted = SerialReader(), [], []
+    for part in parts:
+        if isinstance(part, bytes):
+            got += reader.feed(part + b"\0", 0.0)  # noise that ends in a delimiter
+        else:
+            command, payload, ihb = part
+            wanted.append(Packet(0.0, ihb, command, payload))
+            got += reader.feed(serial_link.encode(command, payload, ihb=ihb), 0.0)
+    clean = sum(len(serial_link.encode(p.command, p.payload, ihb=p.ihb)) for p in wanted)
+    assert [p for p in got if p in wanted] == wanted
+    assert clean <= reader.counters.used <= reader.counters.bytes - reader.pending
+
+
+@given(st.lists(st.binary(max_size=40), max_size=10))
+def test_slcan_frames_survive_the_noise_before_them(noise: list[bytes]) -> None:
+    reader = SlcanReader()
+    for part in noise:
+        reader.feed(part, 0.0)
+    frame = Frame(0.0, 0x101, b"12345678")
+    assert reader.feed(b"\r" + slcan.encode(frame), 0.0)[-1] == frame
+
+
+READERS = {
+    SerialReader: lambda k: serial_link.encode(0x3B + k % 2, ihb=k),
+    SlcanReader: lambda k: slcan.encode(Frame(0.0, 0x100 + k, b"\x01\x02")),
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+@example([b"x" * (slcan.MAX_LINE + 1)], [])
+@example([b"x" * 300], [300])  # the end of a line that is too long comes as a piece
+@example([b"T17FFFFFF8" + b"A5" * 8 + b"000000000\r"], [])  # one digit more than the longest
+@given(st.lists(st.binary(max_size=400), max_size=6), st.lists(st.integers(0, 10**6)))
+def test_the_pieces_a_line_comes_in_do_not_matter(
+    kind: Any, noise: list[bytes], cuts: list[int]
+) -> None:
+    """What is read and counted is the same; the end of a line that is too long is no frame,
+    wherever it is cut."""
+    line = b"".join(part + READERS[kind](k) for k, part in enumerate(noise))
+    found = []
+    for cut in ([line], pieces(line, cuts), [bytes((byte,)) for byte in line]):
+        reader = kind()
+        got = [one for piece in cut for one in reader.feed(piece, 0.0)]
+        found.append((got, getattr(reader, "foreign", 0), getattr(reader, "counters", 0)))
+    assert found[0] == found[1] == found[2]
+
+
+FRAMES = st.builds(
+    lambda short, long, extended, data: Frame(1.5, long if extended else short, data, extended),
+    st.integers(0, 0x7FF),
+    st.integers(0, 0x1FFFFFFF),
+    st.booleans(),
+    st.binary(max_size=8),
+)
+STAMPS = st.one_of(
+    st.just(b""),
+    st.integers(0, 0xFFFF).map(lambda ms: b"%04X" % ms),
+    st.integers(0, 0xFFFFFFFF).map(lambda us: b"%08X" % us),
+)
+
+
+@given(st.lists(st.tuples(FRAMES, STAMPS), max_size=8), st.lists(st.integers(0, 10**6)))
+def test_stamps_of_none_four_or_eight_digits_also_mixed_leave_the_data_as_it_is(
+    sent: list[tuple[Frame, bytes]], cuts: list[int]
+) -> None:
+    line = b"".join(slcan.encode(frame)[:-1] + stamp + b"\r" for frame, stamp in sent)
+    reader, got = SlcanReader(), []
+    for piece in pieces(line, cuts):
+        got += reader.feed(piece, 1.5)
+    assert got == [frame for frame, _ in sent]
+
+
+REMOTE = [b"r1010", b"r7FF8", b"r10181A2B", b"r10180001A2B3", b"R17FFFFFF0", b"R000000008FFFF"]
+NOISE = [b"r101", b"r1019", b"r8000", b"R2000000008", b"r101812", b"s12"]
+
+
+@pytest.mark.parametrize(
+    ("line", "foreign"), [(line, True) for line in REMOTE] + [(line, False) for line in NOISE]
+)
+def test_a_remote_frame_is_foreign_and_its_likeness_is_noise(line: bytes, foreign: bool) -> None:
+    reader = SlcanReader()
+    assert reader.feed(line + b"\r", 0.0) == []
+    assert reader.foreign == foreign
+
+
+def test_answers_are_no_frames_and_a_refusal_ends_a_line_as_well() -> None:
+    reader = SlcanReader()
+    frame = Frame(0.0, 0x101, b"\xaa")
+    assert reader.feed(b"\r\az\rZ\r" + slcan.encode(frame)[:-1] + b"\a", 0.0) == [frame]
+    assert reader.foreign == 0
+    assert slcan.split(b"\r\at1010\a")[0] == [b"", b"\a", b"t1010\a"]
+
+
+LINE = re.compile(
+    rb"(?:t(?P<short>[0-7][0-9A-Fa-f]{2})|T(?P<long>[01][0-9A-Fa-f]{7}))"
+    rb"(?P<length>[0-8])(?P<rest>(?:[0-9A-Fa-f]{2})*)"
+)
+LINES = [b"t1_00", b"t+1F0", b"T0x00000f0", b"tFFF0", b"TFFFFFFFF0", b"t1019", b"t1011 1"]
+STAMPED = [
+    line + b"0" * digits
+    for line in (b"t1012AABB", b"T17FFFFFF0", b"t1018" + b"A5" * 8)
+    for digits in (*range(13), 16)
+]
+
+
+def examples(test: Any) -> Any:
+    for line in (*LINES, *STAMPED):
+        test = example(line)(test)
+    return test
+
+
+@examples
+@given(
+    st.one_of(
+        st.from_regex(rb"(t[0-9A-Fa-f]{3}|T[0-3][0-9A-Fa-f]{7})[0-9][0-9A-Fa-f]{0,20}\Z"),
+        st.text("t0178Aa +_x\a-", max_size=24).map(lambda text: b"t" + text.encode()),
+    )
+)
+def test_a_line_is_a_frame_only_if_it_is_one_to_the_letter(line: bytes) -> None:
+    """Digits that are no stamp are damage, as is what only looks like a number."""
+    frame, match = slcan.parse(line, 1.5), LINE.fullmatch(line.removesuffix(b"\a"))
+    rest = match and len(match["rest"]) // 2 - int(match["length"])
+    assert (frame is not None) == (rest in slcan.STAMP_BYTES)
+    if frame is not None and match is not None:
+        data = bytes.fromhex(match["rest"].decode())[: int(match["length"])]
+        number = int(match["short"] or match["long"], 16)
+        assert frame == Frame(1.5, number, data, extended=match["long"] is not None)

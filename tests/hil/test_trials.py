@@ -9,7 +9,6 @@ import pytest
 
 from taxeld.advice.candidates import PRESS_M, Candidate, way_until_felt
 from taxeld.arrays import Floats, Poses
-from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.pipeline import Pipeline
@@ -25,6 +24,7 @@ from taxeld_sim.world.conditions import Conditions
 from taxeld_sim.world.subjects import Subject
 from taxeld_sim.world.world import AWAY, World
 from tests.hil.rig import MODEL, MODULES, SKIN, TRUTH
+from tests.rig.commands import refuses
 from tests.rig.scenes import disc, scene_of
 
 LINKS = scenario.load("links")
@@ -57,7 +57,6 @@ def test_both_drivers_give_the_same_estimates_where_the_wire_loses_nothing(
     run.rig.world.step = noted  # type: ignore[method-assign]
     for k in range(round(100 * run.duration_s)):
         run.step(k * TICK_S)
-        assert run.daemon is not None
         wired.append(run.daemon.pipeline.estimate)
     config = bundle.sized(run.config, [each.manifest for each in run.scenes])
     models = [each.model for each in run.scenes]
@@ -171,8 +170,7 @@ def test_where_nothing_is_on_a_candidates_way_the_robot_goes_to_its_end_and_back
     world, times = told(missed := candidate(0.2))
     assert gaps(world, times).min() > 0.0
     begin, end = missed.after(np.array([0.0, missed.length_m]))
-    sensors = np.array([world.sensor(t) for t in times])
-    assert np.linalg.norm(sensors - end, axis=1).min() < 0.002
+    assert np.linalg.norm(np.array([world.sensor(t) for t in times]) - end, axis=1).min() < 0.002
     np.testing.assert_allclose(world.sensor(world.duration_s), begin)
 
 
@@ -259,9 +257,7 @@ def test_touches_of_one_side_stay_there() -> None:
 def test_another_object_stands_beside_and_is_pressed_as_often_as_asked() -> None:
     for seed in range(3):
         world = made(seed, both=2)
-        assert world.twin is not None
-        edge = se2.apply(world.twin, MODEL.scene.edge)
-        gap = MODEL.scene.clearance(*edge.T)[0].min()
+        gap = MODEL.scene.clearance(*se2.apply(world.twin, MODEL.scene.edge).T)[0].min()
         assert plan.TWIN_GAP_M - 0.004 < gap <= plan.TWIN_GAP_M
         pressed = MODEL.activation(se2.compose(held(world), world.twin)).max(axis=1) > plan.TOUCH
         assert pressed.sum() == 2
@@ -276,20 +272,21 @@ def test_a_press_that_slips_stays_about_its_place() -> None:
 
 def test_what_cannot_be_touched_or_is_no_name_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plan, "BATCHES_MAX", 0)
-    with pytest.raises(SetupError, match="hardly exist"):
-        made()
+    refuses("hardly exist", made)
     for given, said in (
         ({"foam": "wet"}, "no foam 'wet'; there are scene, typical, poor, stiff"),
         ({"keys": (("creep", 1.0),)}, "no key 'creep' of a foam"),
     ):
-        with pytest.raises(SetupError, match=said):
-            Conditions(**given)  # type: ignore[arg-type]
+        refuses(said, Conditions, **given)  # type: ignore[arg-type]
     for key in ("guide", "motion"):
-        with pytest.raises(SetupError, match=f"{key}: no 'x'; there are"):
-            Case((BOX,), **{key: "x"})  # type: ignore[arg-type]
+        refuses(f"{key}: no 'x'; there are", Case, (BOX,), **{key: "x"})  # type: ignore[arg-type]
     monkeypatch.undo()
-    with pytest.raises(SetupError, match="003_cracker_box: has no sampler 'density'"):
-        play(Case((Subject("003_cracker_box"),), method=Method("density")), 0)
+    refuses(
+        "003_cracker_box: has no sampler 'density'",
+        play,
+        Case((Subject("003_cracker_box"),), method=Method("density")),
+        0,
+    )
 
 
 def test_a_trial_notes_of_which_object_each_estimate_is_and_how_far_off() -> None:
@@ -301,8 +298,7 @@ def test_a_trial_notes_of_which_object_each_estimate_is_and_how_far_off() -> Non
     assert all(touch.ms > touch.idle_ms * SCAN_S > 0.0 for touch in found)
     wrong = play(Case((MUG,), BOX, touches=4), 2)
     assert all(math.isnan(touch.error_mm) for touch in wrong)
-    again = play(Case((MUG,), BOX, touches=4), 2)
-    assert wrong[-1].p == again[-1].p
+    assert wrong[-1].p == play(Case((MUG,), BOX, touches=4), 2)[-1].p
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,13 @@
-"""Commands in the process of the test."""
+"""Commands in the process of the test, and what is refused with one line."""
 
 import contextlib
 import io
 from collections.abc import Callable, Sequence
 
+import pytest
+
 from taxeld import cli
+from taxeld.errors import SetupError
 
 Main = Callable[[Sequence[str]], int]
 
@@ -28,3 +31,10 @@ def printed(*arguments: object, main: Main = cli.main) -> str:
     status, out, said = _run(main, arguments)
     assert (status, said) == (0, "")
     return out
+
+
+def refuses(said: str, act: Callable[..., object], *given: object, **more: object) -> None:
+    """What a caller asks for is refused with one line that a user can read; `said`: its pattern."""
+    with pytest.raises(SetupError, match=said) as error:
+        act(*given, **more)
+    assert str(error.value).isprintable()

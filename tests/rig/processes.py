@@ -39,7 +39,6 @@ def attacked(attack: str, endpoint: str, *more: str) -> Iterator[None]:
     """Meanwhile an attacker is at work (tests/vm/attacks.py)."""
     command = [sys.executable, str(ATTACKS), attack, endpoint, "3600", *more]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
         process.stdout.readline()
         try:
             yield
@@ -50,8 +49,7 @@ def attacked(attack: str, endpoint: str, *more: str) -> Iterator[None]:
 def free_port() -> int:
     """Of TCP on this machine, a moment ago."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-        return port
+        return probe.getsockname()[1]  # type: ignore[no-any-return]
 
 
 def resident_bytes(pid: int) -> int:

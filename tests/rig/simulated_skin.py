@@ -68,7 +68,6 @@ class SimulatedSkin:
     def run(self, skin: Skin, seconds: float) -> Activation:
         """The same; → the last activation."""
         *_, last = self.lead(skin, seconds)
-        assert last is not None
         return last
 
 

@@ -80,8 +80,7 @@ class Robot(End):
         if not self._socket.poll(20):
             return None
         _, body, _ = self._socket.recv_multipart()
-        pose: dict[str, float] = msgpack.unpackb(body)
-        return pose
+        return msgpack.unpackb(body)  # type: ignore[no-any-return]
 
 
 @contextlib.contextmanager

@@ -2,18 +2,27 @@
 
 import math
 import os
+import shutil
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
+from functools import partial
+from itertools import dropwhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from taxeld.estimator.estimate import Status
+from tests.rig.stream_page import documented
+
 pytest.importorskip("cyclonedds")
+
+from rosbags.typesys import Stores, get_typestore
 
 from taxeld_ros2 import cli, dds
 from tests.rig import logged as logged_as
@@ -21,7 +30,7 @@ from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.commands import refused
 from tests.rig.configurations import configuration
 
-from .loopback import ENVIRONMENT, Daemon, Robot, bridge, running
+from .loopback import DOMAIN, ENVIRONMENT, Daemon, Robot, bridge, running
 
 HANGING = """
 import pathlib, sys, time
@@ -113,18 +122,18 @@ def test_an_estimate_that_may_not_be_used_is_no_pose_and_its_status_is_told(
 ) -> None:
     unusable: list[float] = []
 
-    def inconsistent() -> None:
-        unusable.append(daemon.say(valid=False, why=7, status=6)["t"])
-
-    def ambiguous() -> None:
-        unusable.append(daemon.say(status=2)["t"])
+    def tell(**changed: Any) -> None:
+        unusable.append(daemon.say(**changed)["t"])
 
     with bridge(daemon.endpoint):
         until(lambda: heard.of("taxeld/pose"), daemon.say)
-        until(lambda: (dds.WARN, "inconsistent") in heard.status(), inconsistent)
+        until(
+            lambda: (dds.WARN, "inconsistent") in heard.status(),
+            partial(tell, valid=False, why=7, status=6),
+        )
         told = {one.key: one.value for one in heard.of("diagnostics")[-1].status[0].values}
         assert (told["valid"], told["why"]) == ("False", "inconsistent")
-        until(lambda: (dds.OK, "ambiguous") in heard.status(), ambiguous)
+        until(lambda: (dds.OK, "ambiguous") in heard.status(), partial(tell, status=2))
         before = len(heard.of("taxeld/pose"))
         until(lambda: len(heard.of("taxeld/pose")) > before, daemon.say)
     published = [seconds(message.header.stamp) for message in heard.of("taxeld/pose")]
@@ -265,3 +274,84 @@ def test_the_frame_is_the_worlds_where_the_daemon_knows_the_skins_pose(
     with bridge(str(configuration(tmp_path, sensor_pose={"endpoint": sensor}))):
         until(lambda: heard.of("taxeld/pose"), daemon.say)
     assert {one.header.frame_id for one in heard.of("taxeld/pose")} == {frame}
+
+
+T = 1795357978.776642
+ESTIMATE, HEALTH = (documented(f"/taxeld/{name}")[1] for name in ("estimate", "health"))
+POSE = dds.pose({"x": 1.0, "y": 2.0, "theta": 0.6})
+MADE = {
+    "geometry_msgs/msg/PoseStamped": dds.PoseStamped(dds.header(T, "größe"), POSE),
+    "geometry_msgs/msg/PoseArray": dds.PoseArray(dds.header(T, "world"), [POSE] * 3),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": dds.pose_with_covariance(ESTIMATE, "world"),
+    "diagnostic_msgs/msg/DiagnosticArray": dds.diagnostics(T, "taxeld", ESTIMATE, HEALTH),
+}
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_ros_reads_the_bytes_of_each_message(name: str) -> None:
+    """rosbags has ROS 2's own definitions, of each release since Humble."""
+    written = MADE[name].serialize(use_version_2=False)
+    for release in dropwhile(lambda one: one is not Stores.ROS2_HUMBLE, Stores):
+        store = get_typestore(release)
+        read = store.deserialize_cdr(written, name)
+        assert bytes(store.serialize_cdr(read, name)) == written
+    assert MADE[name].__idl_typename__ == name.replace("/msg/", "::msg::dds_::") + "_"
+
+
+def test_a_pose_is_the_mean_and_what_is_not_measured_has_a_great_variance() -> None:
+    made = dds.pose_with_covariance(ESTIMATE, "world")
+    cov = np.reshape(made.pose.covariance, (6, 6))
+    np.testing.assert_array_equal(cov[np.ix_([0, 1, 5], [0, 1, 5])], ESTIMATE["cov"])
+    assert (np.diag(cov)[[2, 3, 4]] == 1e6).all()
+    assert made.pose.pose.position.x == ESTIMATE["mean"]["x"]
+    stamp = dds.header(1.9999999999, "world").stamp
+    assert (stamp.sec, stamp.nanosec) == (2, 0), "less than a second of nanoseconds"
+
+
+@pytest.mark.parametrize("status", [*Status, 99], ids=str)
+def test_every_status_has_a_level_and_its_name(status: int) -> None:
+    (told,) = dds.diagnostics(T, "taxeld", ESTIMATE | {"status": int(status)}, HEALTH).status
+    assert told.message == getattr(status, "name", "unknown (99)").lower()
+    good = {Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED}
+    assert (told.level == dds.OK) == (status in good)
+    values = {one.key: one.value for one in told.values}
+    assert values["dead_taxels"] == "4 17 30"
+    assert (values["p"], values["radius_m"], values["moved"]) == ("0.996", "0.0088", "0.0015")
+
+
+SOURCE = Path(__file__).parent / "fastdds_peer.cpp"
+HEADERS = ("fastdds/dds/topic/TopicDataType.hpp", "fastcdr/Cdr.h")
+
+
+@pytest.fixture(scope="module")
+def peer(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The program, built."""
+    compiler = shutil.which("g++")
+    if compiler is None or not all((Path("/usr/include") / name).exists() for name in HEADERS):
+        pytest.skip("no g++, or not Debian's libfastrtps-dev")
+    built = tmp_path_factory.mktemp("peer") / "fastdds_peer"
+    how = ("-std=c++17", "-O0", "-Wall", "-Wextra", "-Werror", "-Wno-unused-parameter")
+    subprocess.run([compiler, *how, SOURCE, "-o", built, "-lfastrtps", "-lfastcdr"], check=True)
+    return str(built)
+
+
+def test_fast_dds_reads_the_poses_of_the_bridge(peer: str, daemon: Daemon, tmp_path: Path) -> None:
+    said = tmp_path / "said"
+    with (
+        running("sh", "-c", f"exec {peer} hear {DOMAIN} >{said}"),
+        bridge(daemon.endpoint, "--frame", "table"),
+    ):
+        until(lambda: said.exists() and "\n" in said.read_text(), daemon.say)
+    _, frame, *numbers = said.read_text().splitlines()[0].split()
+    mean, cov = daemon.estimate["mean"], daemon.estimate["cov"]
+    expected = [mean["x"], mean["y"], 0.0, mean["theta"], cov[0][0], cov[2][2]]
+    assert frame == "table"
+    assert [float(n) for n in numbers] == pytest.approx(expected, rel=1e-12)
+
+
+def test_poses_of_fast_dds_become_the_robots_poses(peer: str, robot: Robot, tmp_path: Path) -> None:
+    path = configuration(tmp_path, sensor_pose={"endpoint": robot.endpoint})
+    with running(peer, "tell", str(DOMAIN)), bridge(str(path), "--sensor-topic", "/skin"):
+        poses = [until(robot.pose) for _ in range(3)]
+    for pose in poses:
+        assert (pose["x"], pose["y"], pose["theta"]) == pytest.approx((1.0, 0.25, 1.5707963267))

@@ -5,7 +5,6 @@ import io
 import json
 import re
 import shutil
-import time
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ import onnx
 import pytest
 
 from taxeld.config.tables import FilterConfig, SkinConfig
-from taxeld.errors import SetupError
 from taxeld.estimator.scans import noise_of
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
@@ -25,7 +23,8 @@ from taxeld_training import candidates, closing, progress
 from taxeld_training.build import summary
 from taxeld_training.cli import main
 from taxeld_training.models import dataset, variants
-from tests.rig.commands import refused
+from tests.rig.clocks import until
+from tests.rig.commands import refused, refuses
 
 from . import rig
 
@@ -60,8 +59,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def info(built: Path) -> Info:
-    found: Info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
-    return found
+    return json.loads((built / "bundle.json").read_text(encoding="utf-8"))  # type: ignore[no-any-return]
 
 
 def test_the_bundle_says_of_what_it_is_made_and_how_good_it_is(built: Path, info: Info) -> None:
@@ -91,20 +89,14 @@ def test_a_build_prints_its_stages_what_it_made_how_good_and_what_to_do_next(bui
 
 def test_a_long_stage_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "MUTE_S", 0.01)
-    said, rounds = io.StringIO(), 1000
+    said = io.StringIO()
     with progress.shown(("scene", "training"), said) as tell:
         tell("scene", 1.0)
         tell("scene", 1.0)  # who has done its work may say so twice
-        for share in (None, 0.5):
-            if share:
-                tell("training", share)
-            while f"2/2 training: {share or 0.0:.0%} after" not in said.getvalue() and rounds:
-                rounds -= 1
-                time.sleep(0.01)
-    lines = said.getvalue().splitlines()
-    assert "1/2 scene: 0 s" in lines
-    shares = [line.split()[2] for line in lines if line.startswith("2/2")]
-    assert [*dict.fromkeys(shares)] == ["0%", "50%"]
+        until(lambda: "2/2 training: 0% after" in said.getvalue())
+        tell("training", 0.5)
+        until(lambda: "2/2 training: 50% after" in said.getvalue())
+    assert said.getvalue().splitlines().count("1/2 scene: 0 s") == 1
 
 
 def test_trials_choose_the_filter_that_the_daemon_runs(
@@ -192,8 +184,7 @@ def test_the_daemon_loads_a_built_bundle_of_its_depth_and_samples_from_it(built:
     skin = layouts.load(SKIN)
     loaded = bundle.load(str(built), skin, DEPTH_M)
     assert loaded.model.scene.symmetry == 2
-    with pytest.raises(SetupError, match=f"was built for {DEPTH_M:g}"):
-        bundle.load(str(built), skin, 0.005)
+    refuses(f"was built for {DEPTH_M:g}", bundle.load, str(built), skin, 0.005)
     z, live = np.where(np.arange(16) == 5, 0.8, 0.0), np.ones(16, dtype=bool)
     for sampler in loaded.manifest.samplers:
         proposal = loaded.proposal(sampler.name)
@@ -255,8 +246,7 @@ def test_sealing_names_the_files_as_they_are_and_changes_no_sound_bundle(box: Pa
     before = json.loads(about.read_text(encoding="utf-8"))
     other = dict.fromkeys(before["files"], "0" * 64)
     about.write_text(json.dumps(before | {"files": other}), encoding="utf-8")
-    with pytest.raises(SetupError, match="is damaged or was changed"):
-        bundle.load(str(box), skin, 0.005)
+    refuses("is damaged or was changed", bundle.load, str(box), skin, 0.005)
     for _ in range(2):
         assert main(["seal", str(box)]) == 0
         assert bundle.load(str(box), skin, 0.005).files
@@ -349,5 +339,10 @@ def test_a_table_alone_is_built_and_each_link_has_the_object_at_the_heights_of_i
     assert np.array_equal(one.scene.slices, two.scene.slices)
     alone = bundle.load(str(linked), thin)
     assert (len(alone.model.links), alone.manifest.height_m, alone.order) == (1, 0.05, ("table",))
-    with pytest.raises(SetupError, match=r"^[^\n]* a --layout for each[^\n]*$"):
-        bundle.load(str(linked), three, further=[layouts.load(SKIN)])
+    refuses(
+        r"^[^\n]* a --layout for each[^\n]*$",
+        bundle.load,
+        str(linked),
+        three,
+        further=[layouts.load(SKIN)],
+    )

@@ -1,27 +1,33 @@
 """Scenes from meshes with known shapes."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 import trimesh
+from scipy import optimize
 
-from taxeld.arrays import Floats
-from taxeld.errors import SetupError
+from taxeld.arrays import Floats, Poses
 from taxeld.layout import read as layouts
+from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.pipeline.pipeline import _reach_m
 from taxeld.proposals import manifest
 from taxeld.stream import messages
 from taxeld_sim.objects import meshes, scenes
+from taxeld_sim.world.conditions import Conditions
+from taxeld_sim.world.ground import DEPTH_M, Ground
+from taxeld_sim.world.world import World
 from taxeld_training.objects.report import doubts
+from tests.rig.commands import refuses
 
-from .rig import PAPER_RING, THREE_ROWS, box, can, handle, tube
+from .rig import MODEL, PAPER_RING, SKIN, THREE_ROWS, box, can, handle, tube
 
-SKIN = layouts.load(THREE_ROWS)
+THREE = layouts.load(THREE_ROWS)
 
 
 def aside(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -42,7 +48,7 @@ def aside(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     ids=["rectangle", "square", "triangle", "hexagon", "can", "can with a handle"],
 )
 def test_the_symmetry_is_found_from_the_geometry(mesh: trimesh.Trimesh, order: int) -> None:
-    scene = scenes.build(mesh, SKIN, 0.04)
+    scene = scenes.build(mesh, THREE, 0.04)
     assert scene.symmetry == order
     assert order == 1 or np.allclose(scene.centre, mesh.centroid[:2], atol=1e-3)
 
@@ -64,24 +70,24 @@ def test_an_outline_is_all_parts_that_stand_apart_at_the_heights_of_the_taxels(
     place check know of it."""
     grip = box(0.02, 0.02, 0.02)
     grip.apply_translation([0.08, 0.0, 0.04])
-    made = scenes.build(trimesh.util.concatenate([can(128, 0.03), grip]), SKIN, 0.05)
+    made = scenes.build(trimesh.util.concatenate([can(128, 0.03), grip]), THREE, 0.05)
     manifest.save_scene(made, tmp_path / "scene.npz")
     scene = manifest.parse_scene((tmp_path / "scene.npz").read_bytes(), tmp_path)
     for name in ("slices", "surface", "symmetry"):
         assert np.array_equal(getattr(scene, name), getattr(made, name))
-    told = messages.info(SKIN, {"kettle": scene}, "")
+    told = messages.info(THREE, {"kettle": scene}, "")
     for body, island in (scene.outlines, *(one["outlines"] for one in (told, *told["objects"]))):
         assert np.allclose(np.hypot(*np.transpose(body)), 0.03, atol=1e-4)
         off = np.abs(np.subtract(island, [0.08, 0.0])).max(axis=1)
         assert np.allclose(off, 0.01, atol=1e-4)
     assert scene.reach > 0.08
-    assert _reach_m(ObservationModel(scene, SKIN, 0.005)) > 0.08 + SKIN.radius_m
-    assert scenes.build(can(), SKIN, 0.05).islands.shape == (0, 64, 2)
+    assert _reach_m(ObservationModel(scene, THREE, 0.005)) > 0.08 + THREE.radius_m
+    assert scenes.build(can(), THREE, 0.05).islands.shape == (0, 64, 2)
 
 
 def test_the_grid_is_the_distance_to_the_outline() -> None:
     """A box's signed distance has a closed form; the grid differs by its grain alone."""
-    scene = scenes.build(box(0.06, 0.16), SKIN, 0.04)
+    scene = scenes.build(box(0.06, 0.16), THREE, 0.04)
     ny, nx = scene.silhouette.shape
     x = scene.origin[0] + scene.cell * np.arange(nx)[None, :]
     y = scene.origin[1] + scene.cell * np.arange(ny)[:, None]
@@ -92,10 +98,8 @@ def test_the_grid_is_the_distance_to_the_outline() -> None:
 
 
 def test_a_slice_above_the_object_is_far_and_a_skin_above_all_of_it_is_refused() -> None:
-    scene = scenes.build(box(0.1, 0.1), SKIN, 0.09)
-    assert (scene.slices[-1] == scenes.FAR_M).all()
-    with pytest.raises(SetupError, match="change --height-m"):
-        scenes.build(box(0.1, 0.1), SKIN, 0.5)
+    assert (scenes.build(box(0.1, 0.1), THREE, 0.09).slices[-1] == scenes.FAR_M).all()
+    refuses("change --height-m", scenes.build, box(0.1, 0.1), THREE, 0.5)
 
 
 TEN = {  # as a ring of five rows feels them, 10 to 70 mm above their lowest point
@@ -117,7 +121,6 @@ TEN = {  # as a ring of five rows feels them, 10 to 70 mm above their lowest poi
 def test_the_papers_objects_have_their_symmetry_and_exact_grids(name: str, order: int) -> None:
     skin = layouts.load(PAPER_RING)
     path, attribution = meshes.find(name)
-    assert attribution is not None
     assert "CC BY 4.0" in attribution
     mesh = meshes.load(path)
     assert doubts(mesh, skin, 0.04) == []
@@ -148,10 +151,83 @@ def grid_errors_mm(scene: Scene, mesh: trimesh.Trimesh, n: int = 200) -> Floats:
 def test_a_smooth_solid_is_exact_to_the_grids_curvature() -> None:
     """A bilinear lookup of a distance to a circle of 50 mm errs by cell² / 8 / 43 mm at most."""
     mesh = can()
-    assert grid_errors_mm(scenes.build(mesh, SKIN, 0.04), mesh).max() < 0.04
+    assert grid_errors_mm(scenes.build(mesh, THREE, 0.04), mesh).max() < 0.04
 
 
 def test_walls_that_no_skin_touches_are_no_edge_of_the_grids() -> None:
     """Neither a wall's inside nor a solid inside another one."""
     for mesh in (tube(0.047), trimesh.util.concatenate([can(), handle()])):
-        assert grid_errors_mm(scenes.build(mesh, SKIN, 0.04), mesh).max() < 1.0
+        assert grid_errors_mm(scenes.build(mesh, THREE, 0.04), mesh).max() < 1.0
+
+
+TRIALS = 4
+STEP_M = 0.002  # way of the sensor between two scans
+
+
+def even(friction: float = 0.4) -> Ground:
+    """A load that is the same all around the centre."""
+    angle = np.arange(16) * np.pi / 8.0
+    points = 0.03 * np.column_stack([np.cos(angle), np.sin(angle)])
+    return Ground(points, np.full(16, 1.0 / 16.0), friction)
+
+
+def depth(pose: Poses, sensor: Poses) -> float:
+    seen = se2.compose(se2.inverse(sensor), pose)[None]
+    return -float(contacts.clearance(MODEL.scene, SKIN.radius_m, seen)[0])
+
+
+def test_the_object_gives_way_until_friction_holds_it_and_stays_behind_the_sensor() -> None:
+    ways_m, depths = [], []
+    for seed in range(TRIALS):
+        made = World([MODEL], Conditions(robot_m=0.0), seed)
+        made.plan("push", 1)
+        made.push()
+        steps = [made.step(t) for t in np.arange(made.push_s, made.duration_s, 0.05)]
+        for before, after in pairwise(steps):
+            if depth(before.truth, after.sensor) < DEPTH_M:
+                assert np.array_equal(before.truth, after.truth)
+        depths += [depth(step.truth, step.sensor) for step in steps]
+        gap = se2.compose(se2.inverse(steps[0].truth), steps[-1].truth)
+        ways_m.append(np.hypot(gap[0], gap[1]))
+        assert ways_m[-1] < STEP_M * len(steps)
+        assert ways_m[-1] < made.pushed_m + 0.02
+    pressed = np.array(depths)[np.array(depths) > 0.0]
+    assert max(depths) < DEPTH_M + 3e-4
+    assert np.mean(pressed > DEPTH_M - 3e-4) > 0.5
+    assert max(ways_m) > 0.1
+
+
+def test_an_object_slides_with_the_least_power_that_follows_the_push() -> None:
+    """Against a search over all turns, which leave a contact that sticks one choice."""
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        angle = rng.uniform(-np.pi, np.pi, 16)
+        points = rng.uniform(0.0, 0.05, (16, 1)) * np.column_stack([np.cos(angle), np.sin(angle)])
+        load = rng.random(16)
+        ground = Ground(points, load / load.sum(), 100.0)  # never slips
+        contact, wanted = np.array([0.05, rng.uniform(-0.04, 0.04)]), np.array([-0.002, 0.0005])
+
+        def power(
+            turn: float, given: Ground = ground, at: Floats = contact, wanted: Floats = wanted
+        ) -> float:
+            shift = wanted - turn * np.array([-at[1], at[0]])
+            x, y = given.points.T
+            return float(given.load @ np.hypot(shift[0] - turn * y, shift[1] + turn * x))
+
+        best = optimize.minimize_scalar(power, bounds=(-0.2, 0.2), method="bounded")
+        motion = ground.slide(contact, wanted, np.array([-1.0, 0.0]))
+        assert power(float(motion[2])) <= power(float(best.x)) * 1.01
+        held = motion[:2] + motion[2] * np.array([-contact[1], contact[0]])
+        assert np.allclose(held, wanted, atol=1e-9)
+
+
+def test_a_contact_slips_where_its_friction_is_too_small() -> None:
+    contact, wanted = np.array([0.03, 0.0]), np.array([-0.001, 0.002])  # mostly sideways
+    inwards = np.array([-1.0, 0.0])
+    stuck = even(100.0).slide(contact, wanted, inwards)
+    slips = even(0.2).slide(contact, wanted, inwards)
+    for motion, holds in ((stuck, True), (slips, False)):
+        held = motion[:2] + motion[2] * np.array([-contact[1], contact[0]])
+        assert held @ inwards == pytest.approx(0.001)  # it follows all the same
+        assert np.allclose(held, wanted) == holds
+    assert np.allclose(even(0.0).slide(contact, wanted, inwards), [-0.001, 0.0, 0.0], atol=1e-6)
