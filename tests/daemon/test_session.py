@@ -1,5 +1,6 @@
 """A session is read up to its last whole record, and its replay sees what the loop saw."""
 
+import csv
 import math
 import os
 import tracemalloc
@@ -242,7 +243,12 @@ def test_an_arrays_replay_takes_and_refuses_what_the_loop_did(
 
 def test_a_session_is_exported_once_for_other_tools(tmp_path: Path) -> None:
     place, frames = tmp_path / "session", [*sent("can", 3)]
-    listed = [*sent("array", 1), *poses(), *frames, *frames[-3:-1]]
+    listed = [
+        *(item._replace(id="a,b") for item in arrays(8)[:1]),
+        *poses(),
+        *frames,
+        *frames[-3:-1],
+    ]
     write(place, listed, moves=True)
     configuration(place)
     out = tmp_path / "out"
@@ -252,10 +258,10 @@ def test_a_session_is_exported_once_for_other_tools(tmp_path: Path) -> None:
     text = {name: (out / name).read_text(encoding="utf-8").splitlines() for name in names}
     assert [parse_log_line(line) for line in text["frames.log"]] == [*frames, *frames[-3:-1]]
     assert " can0 " in text["frames.log"][0]
-    rows = {name: [row.split(",") for row in text[name][1:]] for name in names}
+    rows = {name: [*csv.reader(text[name])][1:] for name in names}
     assert [[*map(float, row)] for row in rows["poses.csv"]] == [[p.t, 0.0, *p] for p in poses()]
     [[t, link, name, *counts]] = rows["arrays.csv"]
-    assert (t, link, name, counts[0], len(counts)) == ("100.0", "0", "arm", "", len(SKIN))
+    assert (t, link, name, counts[0], len(counts)) == ("100.0", "0", "a,b", "", len(SKIN))
     assert [len(row) for row in rows["scans.csv"]] == [3 + CHANNELS] * 3
     assert [float(row[0]) for row in rows["scans.csv"]] == [100.0, 100.05, 100.1]
     assert "arrays.csv (File exists)" in refused("export", place, "--out", out)

@@ -4,6 +4,8 @@
 session has its like, and `modules.toml` for `source.modules` of a later listener.
 """
 
+import csv
+import io
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -50,9 +52,7 @@ def export(directory: Path, out: Path) -> list[Path]:
         if tables:
             modules.write(out / modules.FILE, tables)
     except OSError as error:
-        raise SetupError(
-            f"--out: cannot write {error.filename or out} ({error.strerror})"
-        ) from None
+        raise SetupError(f"--out: {error.filename or out} ({error.strerror})") from None
     return sorted(out / name for name in [*files, *[modules.FILE] * bool(tables)])
 
 
@@ -74,4 +74,6 @@ def _lines(arrival: Arrival, decoders: Mapping[int, Decoder]) -> Iterator[tuple[
 
 
 def _row(*values: object) -> str:
-    return ",".join(map(str, values))
+    line = io.StringIO()
+    csv.writer(line, lineterminator="").writerow(values)
+    return line.getvalue()
