@@ -83,7 +83,7 @@ def test_intervals_are_over_seeds_and_one_seed_in_many_cells_is_no_more_trials()
     apart = row(*(played(*trials, cell=str(k), first=100 * k) for k in range(5)))
     assert many["trials"] == apart["trials"] == 200
     width = [np.ptp(each["ci"]["found"][0]) for each in (once, many, apart)]
-    assert width[1] == pytest.approx(width[0], abs=0.02)
+    assert width[1] == pytest.approx(width[0], abs=0.04)
     assert width[2] < 0.7 * width[0]
     low, high = once["ci"]["found"][0]
     assert low < once["found"][0] / 40 < high
