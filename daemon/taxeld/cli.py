@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import sys
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -34,9 +35,9 @@ def _run(args: argparse.Namespace) -> int:
     with log.written():
         config = load(args.config)
         log.set_level(config.log.level)
-        recorder = recorder_of(config, args.config, args.record) if args.record else None
-        daemon = Daemon(config, recorder)
-        daemon.run(command_line.stopping())
+        out = args.record
+        with recorder_of(config, args.config, out) if out else nullcontext() as recorder:
+            Daemon(config, recorder).run(command_line.stopping())
     return 0
 
 

@@ -2,17 +2,19 @@
 
 import threading
 from collections.abc import Callable
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 
-Job = Callable[[], None]
+Job = Callable[[], object]
 
 
 class Worker:
     """Does jobs one after another, until it is closed; each sees to its own faults."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, turn: Job = lambda: None, every_s: float | None = None) -> None:
+        """`turn` is done each time that no job has been given for `every_s`."""
         self._jobs: SimpleQueue[Job | None] = SimpleQueue()
         self._given = self._done = 0
+        self._turn, self._every_s = turn, every_s
         # what hangs must not keep the process from ending
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
@@ -35,6 +37,13 @@ class Worker:
         return not self._thread.is_alive()
 
     def _run(self) -> None:
-        while job := self._jobs.get():
+        while True:
+            try:
+                job = self._jobs.get(timeout=self._every_s)
+            except Empty:
+                self._turn()
+                continue
+            if job is None:
+                return
             job()
             self._done += 1

@@ -306,11 +306,7 @@ def lived(touches: int, seed: int, of: str = "", *, learns: bool = True) -> tupl
     run = FakeRun(asked, seed, rate_hz=40.0)
     run.config = replace(run.config, skin=replace(run.config.skin, learn=learns))
     run.scenes = [bundle.load(of or "mug", run.skin)]
-    run.daemon = run._born()
-    for tick in range(round(40 * run.duration_s)):
-        run.step(tick / 40)
-        if not of and run.daemon.pipeline.skin.fit.lessons:
-            break
+    run.run(lambda: not of and run.daemon.pipeline.skin.fit.lessons > 0)
     run.daemon.pipeline.reset()
     return run, SkinFit(len(run.skin), NOISE).values[3:6]
 

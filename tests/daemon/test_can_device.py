@@ -27,7 +27,7 @@ from taxeld.config.tables import SourceConfig
 from taxeld.source import bus_faults, socketcan
 from taxeld.source.bus_faults import PASSED_S, BusFault
 from taxeld.source.device import Device, LostError
-from taxeld.source.opening import open_device, open_source
+from taxeld.source.opening import open_device
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import LiveSource, least_period_ms
 from taxeld_hil.rig.virtual_ihb import VirtualIhb
@@ -199,7 +199,7 @@ def test_requests_go_out_are_recorded_and_wait_while_none_is_taken(
     bus: Bus, tmp_path: Path
 ) -> None:
     with Recorder(tmp_path / "session", moves=False) as recorder:
-        source, sent = open_source(config_of(bus), {0: SKIN}, recorder), list[Frame]()
+        source, sent = LiveSource(config_of(bus), {0: SKIN}, open_device, recorder), list[Frame]()
         for tick in range(100):
             if tick == 0:
                 bus.fill()

@@ -23,7 +23,8 @@ from taxeld.commands import check
 from taxeld.config import endpoints
 from taxeld.config.file import load
 from taxeld.errors import SetupError
-from taxeld.source.opening import open_source
+from taxeld.source.opening import open_device
+from taxeld.source.sources import LiveSource
 from taxeld.stream import client
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import QUIET, Table, configuration
@@ -156,7 +157,7 @@ def test_check_says_what_run_says_of_a_device_that_does_not_open(
     told = refused("check", path).rstrip()
     assert told.startswith(begin.format(place=tmp_path, line=line))
     try:
-        open_source(load(path).source, {0: SKIN}, wait=True).close()
+        LiveSource(load(path).source, {0: SKIN}, open_device, wait=True).close()
         said = caplog.messages
     except SetupError as error:
         said = [str(error)]
@@ -178,7 +179,8 @@ def test_a_device_is_opened_for_this_process_alone_and_nothing_is_sent_to_it(
         assert select.select([far], [], [], 0)[0] == []
         fcntl.flock(held, fcntl.LOCK_EX)
         assert cure in refused("check", path)
-        with contextlib.closing(open_source(load(path).source, {0: SKIN}, wait=True)) as waiting:
+        source = LiveSource(load(path).source, {0: SKIN}, open_device, wait=True)
+        with contextlib.closing(source) as waiting:
             assert cure in waiting.waits_for
         answering()
         printed("check", path)

@@ -37,6 +37,7 @@ from taxeld.skin.skin import Skin
 from taxeld.stream import pair
 from taxeld.stream.link import Link
 from taxeld.stream.pair import Kind
+from taxeld.worker import Worker
 from tests.rig.clocks import until
 from tests.rig.commands import refuses
 from tests.rig.disks import disk
@@ -184,7 +185,7 @@ def test_what_is_old_or_of_another_configuration_is_not_used_and_each_part_says_
     simulated, _ = felt(before)
     before.end()
     clock = time.time
-    monkeypatch.setattr(kept.time, "time", lambda: clock() + later_s)
+    monkeypatch.setattr(time, "time", lambda: clock() + later_s)
     with caplog.at_level(logging.WARNING):
         after = begin(**keys)
         assert len(caplog.messages) == len(says)
@@ -371,7 +372,7 @@ def test_writing_is_seldom_and_waits_for_the_end_of_a_touch(
 ) -> None:
     run = begin()
     simulated, offered = SimulatedSkin(run.skin.layout), []
-    monkeypatch.setattr(kept.Worker, "give", lambda *_: offered.append(now_s))
+    monkeypatch.setattr(Worker, "give", lambda *_: offered.append(now_s))
     for k in range(20 * 400):
         now_s = 0.05 * k
         simulated.press[3] = 5_000.0 if 230.0 < now_s < 290.0 else 0.0

@@ -7,11 +7,9 @@ import os
 import resource
 import select
 import termios
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,7 +17,7 @@ import pytest
 from taxeld.config.tables import SourceConfig
 from taxeld.source import session
 from taxeld.source.lines import SerialLine
-from taxeld.source.opening import open_device, open_source
+from taxeld.source.opening import open_device
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Pass
 from taxeld.source.sources import LiveSource
@@ -62,9 +60,10 @@ class ServedSkin(ExitStack):
             self.hub.ihb.phase, self.hub.ihb.auto_sync = Phase.RUNNING, True
             self.hub.port.is_open = native
         keys: dict[str, Any] = {**self.hub.source, "channel": self.hub.device + at, **more}
-        source = open_source(SourceConfig(**keys), {0: SKIN}, recorder, wait=True)
-        self.source, self.scans, self.now_s = source, list[Scan](), 0.0
-        self.callback(source.close)
+        self.scans, self.now_s = list[Scan](), 0.0
+        given = SourceConfig(**keys), {0: SKIN}, open_device, recorder
+        self.source = LiveSource(*given, wait=True, clock=lambda: self.now_s)
+        self.callback(self.source.close)
 
     @property
     def adapter(self) -> Adapter:
@@ -210,7 +209,7 @@ def test_an_adapter_that_answers_late_is_opened_or_named_with_the_bit_rate_that_
     tick = itertools.count()
     with closing(LateAdapter(late_s, mute)) as late:
         config = SourceConfig("can", "slcan", late.device, **(LISTENING if listens else {}))
-        with closing(open_source(config, {0: SKIN})) as source:
+        with closing(LiveSource(config, {0: SKIN}, open_device)) as source:
 
             def turn() -> None:
                 now_s = TICK_S * next(tick)
@@ -260,12 +259,10 @@ def test_a_skin_that_is_not_there_yet_or_no_more_is_waited_for_with_one_line(
 
 @pytest.mark.parametrize(("kind", "began"), [("plain", True), (NATIVE, True), (NATIVE, False)])
 def test_what_waited_on_a_line_while_the_loop_was_stopped_or_had_not_begun_is_dropped_and_counted(
-    opened: Opened, kind: str, began: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    opened: Opened, kind: str, began: bool, tmp_path: Path
 ) -> None:
     """Nothing tells when it came, and the robot may have moved meanwhile. Between opening the
     device and the first pass, samplers and models are loaded."""
-    clock = SimpleNamespace(monotonic=lambda: 0.0, time=time.time, sleep=time.sleep)
-    monkeypatch.setattr("taxeld.source.sources.time", clock)
     with Recorder(tmp_path / "session", moves=False) as recorder:
         skin = opened(kind, recorder=recorder, **({} if began else LISTENING))
         skin.more(3 * began)
@@ -317,7 +314,7 @@ def of_kind(kind: str, device: str) -> SourceConfig:
 def test_a_line_whose_far_end_stops_reading_makes_no_tick_wait(
     far_end: FarEnd, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = open_source(of_kind(kind, far_end.device), {0: SKIN})
+    source = LiveSource(of_kind(kind, far_end.device), {0: SKIN}, open_device)
     far_end.fill()
     real = select.select
 

@@ -79,7 +79,8 @@ def rig(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[TwoHubs]:
             for device, skin in zip(devices, simulated, strict=False)
         ]
         config = load(path)
-        daemon = Daemon(config, recorder_of(config, path, tmp_path / "session"))
+        recorder = opened.enter_context(recorder_of(config, path, tmp_path / "session"))
+        daemon = Daemon(config, recorder)
         opened.callback(daemon.close)
         daemon.kept.restore()
         yield TwoHubs(daemon, [*zip(hubs, simulated, strict=True)])
@@ -100,6 +101,7 @@ def test_touches_of_two_links_are_one_beliefs(rig: TwoHubs, tmp_path: Path) -> N
         skin.press[:] = 0.0
         rig.until(lambda: not pipeline.estimate.contact)
     rig.daemon.close()
+    rig.daemon.recorder.__exit__()
     with np.load(tmp_path / "state" / "kept.npz") as kept:
         assert {"skin0.baseline", "skin1.baseline"} <= set(kept)
     session = tmp_path / "session"

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Outcome
 from taxeld.proposals.samples import Degraded
 from taxeld.service import loop
-from taxeld.service.clock import Ready, Ticker
+from taxeld.service.clock import Ready
 from taxeld.service.loop import GATHERS, Daemon
 from taxeld.service.notify import Notifier
 from taxeld.stream import messages, topics
@@ -98,7 +97,7 @@ class Touches:
         self._skin = SimulatedSkin(daemon.layouts[0], noise=5.0)
         self._skin.t = time.time() - 9.0
         self._made = 0
-        monkeypatch.setattr(time, "time", lambda: self._skin.t)
+        monkeypatch.setattr(daemon.around, "unix", lambda: self._skin.t)
         monkeypatch.setattr(object_belief, "SURE", 0.0)  # any belief is to be searched
 
     def next(self) -> Scan:
@@ -215,9 +214,9 @@ def test_a_pass_waits_for_all_frames_of_a_scan_and_for_the_doors_answer(
     def wait(_: object, __: object, until_s: float) -> None:
         clock.now = until_s
 
-    monkeypatch.setattr(time, "sleep", lambda _: None)
-    monkeypatch.setattr(time, "monotonic", lambda: clock.now)
-    monkeypatch.setattr(loop, "wait", wait)
+    monkeypatch.setattr(daemon.around, "sleep", lambda _: None)
+    monkeypatch.setattr(daemon.around, "monotonic", clock)
+    monkeypatch.setattr(daemon.around, "wait", wait)
     monkeypatch.setattr(source, "poll", poll)
     assert len(daemon.take()) == sum(len(each or []) for each in found)
     assert looked == looks
@@ -235,7 +234,7 @@ def test_a_pass_whose_own_work_is_longer_than_a_period_is_counted(
 
     work_ns = iter([9_900_000, 10_100_000, 30_000_000, 0])
     monkeypatch.setattr(daemon.pipeline, "advance", advance)
-    monkeypatch.setattr(time, "thread_time_ns", lambda: spent_ns)
+    monkeypatch.setattr(daemon.around, "cpu_ns", lambda: spent_ns)
     counted = []
     for k in range(4):
         daemon.tick(daemon.start_s + 0.01 * k)
@@ -252,9 +251,8 @@ def test_what_the_interpreter_leaves_behind_is_collected_once_a_minute(
         clock.now = max(until_s, clock.now + 0.5)
         return Ready()
 
-    monkeypatch.setattr(time, "monotonic", clock)
-    monkeypatch.setattr(loop, "wait", wait)
-    monkeypatch.setattr(loop, "Ticker", partial(Ticker, clock=clock))
+    monkeypatch.setattr(daemon.around, "monotonic", clock)
+    monkeypatch.setattr(daemon.around, "wait", wait)
     monkeypatch.setattr(loop.gc, "collect", lambda: collected.append(clock.now - began_s))
     daemon._loop(Notifier({}), lambda: clock.now > began_s + 150.0)
     assert collected == pytest.approx([0.0, 60.0, 120.0], abs=2.0)
@@ -264,7 +262,7 @@ def test_where_touches_take_longer_than_they_have_half_the_samples_are_drawn_and
     touches: Touches, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     looks_ns = itertools.count(0, 60_000_000)
-    monkeypatch.setattr(time, "thread_time_ns", looks_ns.__next__)
+    monkeypatch.setattr(touches.daemon.around, "cpu_ns", looks_ns.__next__)
     degraded = list[int]()
     for _ in range(300):
         degraded += [e["degraded"] for e in touches.tick([touches.next()], Ready(device=True))]

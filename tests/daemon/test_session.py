@@ -34,6 +34,7 @@ from taxeld_hil.rig.virtual_ihb import VirtualIhb
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.array import FULL, REST, ArrayFrame
 from taxeld_protocol.frames import Chunk, Frame, parse_log_line
+from tests.rig.clocks import Clock
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import config, configuration
 from tests.rig.sessions import recorded_inputs, write
@@ -221,16 +222,14 @@ def arrays(count: int) -> list[ArrayFrame]:
     return found
 
 
-def test_an_arrays_replay_takes_and_refuses_what_the_loop_did(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_arrays_replay_takes_and_refuses_what_the_loop_did(tmp_path: Path) -> None:
     """One that is stamped in the future keeps out no others."""
     source_config = SourceConfig("array", endpoint="ipc:///nowhere")
-    scans = []
+    scans, clock = [], Clock()
     with Recorder(tmp_path, moves=False) as recorder:
-        source = ArraySource(source_config, {0: SKIN}, recorder)
+        source = ArraySource(source_config, {0: SKIN}, recorder, clock)
         for frame, right in zip(arrays(12), sent("array", 12), strict=True):
-            monkeypatch.setattr("taxeld.source.sources.time.time", lambda t=right.t: t + 0.001)
+            clock.now = right.t + 0.001
             source.hear(frame)
             scans += source.poll(right.t)
     inputs = recorded_inputs(tmp_path, source={"kind": "array", "endpoint": "ipc:///nowhere"})

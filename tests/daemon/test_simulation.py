@@ -18,4 +18,4 @@ def test_a_daemon_with_drawn_faults_keeps_its_laws(seed: int, tmp_path: Path) ->
 def test_the_same_seed_leads_to_the_same_run(tmp_path: Path) -> None:
     first, again = (simulate(5, tmp_path / name)[0] for name in ("first", "again"))
     assert [as_bytes(e) for e in first.estimates] == [as_bytes(e) for e in again.estimates]
-    assert first.taken == again.taken
+    assert first.world.taken == again.world.taken

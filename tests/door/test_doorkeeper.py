@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -87,19 +88,15 @@ def test_a_door_that_states_a_fault_is_started_again_after_the_long_pause(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with Stand(tmp_path) as stand:
-        pauses: list[float] = []
-        wait = stand.keeper._stops.wait
-
-        def paused(seconds: float) -> bool:
-            pauses.append(seconds)
-            return wait(0.01)
-
-        monkeypatch.setattr(stand.keeper._stops, "wait", paused)
+        keeper = stand.keeper
         with monkeypatch.context() as failing:
             failing.setattr(sys, "executable", executable(tmp_path, FAULTY))
+            failing.setattr(doorkeeper, "REFUSED_PAUSE_S", 1000.0)
             os.kill(stand.pid, signal.SIGKILL)
-            stand.until(lambda: len(pauses) > 3)
-        assert pauses[1:] == [doorkeeper.REFUSED_PAUSE_S] * len(pauses[1:])
+            stand.until(lambda: keeper.starts == 2 and not (keeper._new or keeper._process))
+            began_s = time.monotonic()
+            assert began_s + 500.0 < keeper._next_s < began_s + 1000.0
+        keeper.look(began_s + 1000.0)
         stand.until(lambda: stand.link.is_ready)
     told = [line for line in caplog.messages if line != "door: a fault"]
     assert told == ["door: ended: Killed; it is started again"]
@@ -158,7 +155,7 @@ def test_a_door_that_does_not_start_is_ended_with_its_loop(
     monkeypatch.setattr(sys, "executable", executable(tmp_path, "#!/bin/sh\nexec sleep 600\n"))
     monkeypatch.setattr(doorkeeper, "STOP_S", 1.0)
     keeper = Doorkeeper(Settings(publish=(f"ipc://{tmp_path}/stream",)))
-    process = until(lambda: keeper._newest)
+    process, _ = until(lambda: keeper._new)
     keeper.close()
     assert (process.poll(), keeper.starts) == (-signal.SIGKILL, 1)
 

@@ -28,8 +28,7 @@ def test_a_session_of_two_links_replays_to_the_object_that_both_have_touched(
     one_bus: bool, tmp_path: Path
 ) -> None:
     run, _ = passing(replace(LINKS, one_bus=one_bus), tmp_path)
-    assert run.daemon is not None
-    assert len(run.daemon.sources) == 2 - one_bus
+    assert len(run.machine.lines) == 2 - one_bus
     found = list(Replay(tmp_path))
     pressed = {o.link for o in found if o.activation is not None and o.activation.z.max() > 0.1}
     assert pressed == {0, 1}
@@ -83,7 +82,7 @@ def test_links_touch_one_after_the_other_as_each_would_alone() -> None:
 )
 def test_links_that_do_not_fit_a_scenario_are_refused(keys: dict[str, object], said: str) -> None:
     with pytest.raises(SetupError, match=said):
-        FakeRun(replace(LINKS, **keys), 0)  # type: ignore[arg-type]
+        FakeRun(replace(LINKS, **keys), 0).run()  # type: ignore[arg-type]
 
 
 def test_several_layouts_are_links() -> None:

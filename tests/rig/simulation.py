@@ -1,51 +1,28 @@
 """A whole daemon on a fake clock, with faults that are drawn from a seed.
 
-Real are the loop, the source, the bring-up, the pipeline, the link, the doorkeeper and the recorder
-with their threads, which run one at a time when the simulation lets them. The skin with its robot
-is the harness's; the door's process, the disk and both clocks are simulated. The same seed leads to
-the same run.
+Real are the daemon and the recorder, with workers that work one after the other when the
+simulation lets them. The skin with its robot, the machine and its door are the harness's; the disk
+and the faults are simulated. The same seed leads to the same run.
 """
 
-import contextlib
-import errno
 import json
-import os
 import traceback
-import types
 from collections.abc import Iterable, Iterator, Mapping
-from functools import partial
-from io import FileIO
 from pathlib import Path
 from typing import Any
-from unittest import mock
-
-import msgpack
 
 from taxeld.commands import replay
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Outcome
-from taxeld.service.clock import Ticker, WallClock
 from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
 from taxeld.source.recorder import Recorder
-from taxeld.stream import messages, pair, topics
-from taxeld.stream.link import Link
-from taxeld.stream.pair import Kind
+from taxeld.stream import messages, topics
 from taxeld_hil.grade.reconcile import laws
 from tests.rig.sessions import poses_of
-from tests.rig.simulated_world import (
-    DISK,
-    DOOR,
-    NO_DOOR,
-    Drawn,
-    SimulatedDevice,
-    SimulatedDoor,
-    World,
-    draw,
-    simulated_wait,
-)
+from tests.rig.simulated_world import DISK, DOOR, NO_DOOR, Drawn, DrawnDoor, World, draw
 
 REST_S = 0.2  # at the end, for what is on its way
 NOT_IN_A_RECORDING = {"reset", "tare"}
@@ -62,7 +39,6 @@ class Run:
         self.estimates: list[Estimate] = []  # one for each scan, as it was told last
         self.unsent = 0
         self.compared: list[str] = []  # the estimates were compared with those of these
-        self.taken: list[tuple[int, list[Any]]] = []  # packets, by the pair
         self.world = World(seed, faults, moves)
         self.world.end_s = end_s or self.world.end_s
         self._sent: list[dict[str, Any]] = []  # estimates
@@ -78,88 +54,39 @@ class Run:
             * moves
         )
         try:
-            with self._patched():
-                self._live()
+            self._live()
             self._judge_recording()
         except Exception as error:
             self.broken.append("".join(traceback.format_exception(error)[-3:]))
-        for thread in (*self.world.threads.errors, *self.world.writers.errors):
-            self.broken.append(f"a thread has ended: {thread!r}")
 
     def _live(self) -> None:
         world = self.world
-        self._recorder = Recorder(self._place, moves=world.moves)
-        daemon = Daemon(self._config, self._recorder)
-        try:
-            daemon.clock = WallClock(world.unix, lambda: world.now)
-            self._listen_to(daemon)
-            daemon._loop(Notifier({}), lambda: world.t >= world.end_s + REST_S)
-            self._judge_end(daemon)
-            daemon.link.detach()
-            world.advance(world.now + 0.2)  # the door reads what is left, and ends
-        finally:
-            daemon.close()
-        got = [packet for door in world.doors for packet in door.got]
-        self._law(got == self.taken, "doors got other packets than the pair took")
+        given = {"worker": world.worker, "open_new": world.open_new}
+        with Recorder(self._place, moves=world.moves, **given) as self._recorder:
+            daemon = Daemon(self._config, self._recorder, world)
+            try:
+                self._listen_to(daemon)
+                daemon._loop(Notifier({}), self._ends)
+                self._judge_end(daemon)
+                daemon.link.detach()
+                world.advance(world.now + 0.2)  # the door reads what is left, and ends
+            finally:
+                daemon.close()
+        got = [packet for door in world.doors if isinstance(door, DrawnDoor) for packet in door.got]
+        self._law(got == world.taken, "doors got other packets than the pair took")
 
-    @contextlib.contextmanager
-    def _patched(self) -> Iterator[None]:
-        """Clocks, threads, processes and disk, for as long as the daemon lives."""
-        world, pairs, give, pose = self.world, pair.open_pair, Link._give, Daemon.on_pose
-
-        class File(FileIO):
-            def write(self, data: Any) -> int:
-                return world.write(super().write, data)
-
-        def sync(_: int) -> None:
-            world.write(len, b"")
-
-        def open_pair() -> Any:
-            if world.on("no descriptor for the pair"):
-                raise OSError(errno.EMFILE, "Too many open files")
-            return pairs()
-
-        def given(link: Link, kind: Kind, *values: Any, file: int | None = None) -> None:
-            there, before = link.end is not None, link.unsent
-            give(link, kind, *values, file=file)
-            if there and link.unsent == before:
-                content = [] if file is None else [os.pread(file, os.fstat(file).st_size, 0)]
-                self.taken.append((kind, msgpack.unpackb(msgpack.packb([*values, *content]))))
-
-        def posed(*given: Any) -> None:
-            self._poses += 1
-            pose(*given)
-
-        processes = types.SimpleNamespace(Popen=partial(SimulatedDoor, world), DEVNULL=-3)
-        fakes = {
-            "time.time": world.unix,
-            "time.monotonic": lambda: world.now,
-            "time.monotonic_ns": lambda: int(world.now * 1e9),
-            "time.perf_counter_ns": lambda: int(world.now * 1e9),
-            "time.thread_time_ns": lambda: 0,
-            "time.sleep": lambda s: world.advance(world.now + s),
-            "os.fsync": sync,
-            "taxeld.service.loop.wait": partial(simulated_wait, world),
-            "taxeld.service.loop.Ticker": partial(Ticker, clock=lambda: world.now),
-            "taxeld.service.doorkeeper.threading": world.threads,
-            "taxeld.service.doorkeeper.subprocess": processes,
-            "taxeld.stream.pair.open_pair": open_pair,
-            "taxeld.stream.link.Link._give": given,
-            "taxeld.service.loop.Daemon.on_pose": posed,
-            "taxeld.source.recorder.threading": world.writers,
-            "taxeld.worker.threading": world.writers,
-            "taxeld.worker.SimpleQueue": world.writers.SimpleQueue,
-            "taxeld.source.recorder.FileIO": File,
-            "taxeld.source.opening.open_device": lambda *_: SimulatedDevice(world),
-        }
-        with contextlib.ExitStack() as patches:
-            for name, fake in fakes.items():
-                patches.enter_context(mock.patch(name, fake))
-            yield
+    def _ends(self) -> bool:
+        self.world.is_sending = self.world.now < self.world.end_s
+        return self.world.now >= self.world.end_s + REST_S
 
     def _listen_to(self, daemon: Daemon) -> None:
         link, pipeline = daemon.link, daemon.pipeline
         send, advance, think = link.send, pipeline.advance, pipeline.think
+        add, self._poses = pipeline.poses.add, pipeline.poses.taken  # since the start
+
+        def posed(*given: float) -> None:
+            self._poses += 1
+            add(*given)
 
         def sent(topic: bytes, message: Mapping[str, Any], t: float) -> None:
             if topic == topics.ESTIMATE:
@@ -178,6 +105,7 @@ class Run:
             return outcome
 
         link.send, pipeline.think = sent, thought  # type: ignore[method-assign]
+        pipeline.poses.add = posed  # type: ignore[method-assign]
         pipeline.advance = advanced  # type: ignore[method-assign,assignment]
 
     def _judge_end(self, daemon: Daemon) -> None:

@@ -1,26 +1,20 @@
 """Starts the door, watches it, and starts it again; the loop never waits for it.
 
-A thread waits for the process to end. The loop takes the new pair at its next look.
+A worker starts the process. The loop takes the new pair, and sees an end, at its next look.
 """
 
-import contextlib
-import json
 import logging
-import os
-import queue
+import math
 import signal
 import socket
 import subprocess
 import sys
-import threading
-import time
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import replace
 
 from taxeld.config.tables import Config
-from taxeld.door.settings import OOM_SCORE, REFUSED, Settings
+from taxeld.door.settings import REFUSED, Settings
 from taxeld.errors import SetupError
-from taxeld.stream import pair
+from taxeld.service.surroundings import MACHINE, DoorProcess, Surroundings
 from taxeld.stream.link import Link
 
 FIRST_S = 30.0  # for the first door to be ready
@@ -32,29 +26,25 @@ LOOK_S = 0.01
 QUEUE_S = 2.0  # messages of all topics that wait for a slow subscriber
 QUEUE_LEAST = 40  # messages
 CHANGE_GROUP = "taxeld-control"  # its members may tare, reset and give priors
-LOOPS_OWN = ("NOTIFY_", "WATCHDOG_", "LISTEN_", "STATE_DIRECTORY")  # variables of the environment
 log = logging.getLogger(__name__)
 
 
 class Doorkeeper:
     """One door of a daemon after another."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, around: Surroundings = MACHINE) -> None:
         self.starts = 0
-        self._settings = settings
-        self._stops = threading.Event()
-        # doors that the loop has not met: their process, and the loop's end of the pair
-        self._started: queue.SimpleQueue[tuple[subprocess.Popen[bytes], socket.socket]] = (
-            queue.SimpleQueue()
-        )
-        self._newest: subprocess.Popen[bytes] | None = None  # written by the thread alone
-        self._process: subprocess.Popen[bytes] | None = None  # the one that the loop has met
+        self._settings, self._around = settings, around
+        self._process: DoorProcess | None = None  # of the door that the loop has met,
+        self._met_s = 0.0  # and when
+        self._new: tuple[DoorProcess, socket.socket] | None = None  # a door that it has not met
+        self._next_s = math.inf  # when the next one is started
         self._link = Link({}, lambda *_: None, {})  # another one from `wait` on
         self._was_ready = False
         self._fault = ""  # why the last start failed
-        self._thread = threading.Thread(target=self._keep, name="doorkeeper", daemon=True)
+        self._worker = around.worker("doorkeeper")
         if settings.is_needed:
-            self._thread.start()
+            self._begin(around.monotonic())
 
     def wait(self, link: Link) -> None:
         """Join `link` to the doors, and wait until the first one is ready.
@@ -62,89 +52,75 @@ class Doorkeeper:
         Raises:
             SetupError: it cannot serve an endpoint, or does not start.
         """
-        self._link = link
-        until_s = time.monotonic() + FIRST_S
+        self._link, around = link, self._around
+        until_s = around.monotonic() + FIRST_S
         while self._settings.is_needed and not link.is_ready:
-            self.look(time.monotonic())
-            if link.fault or self._fault or time.monotonic() > until_s:
+            self.look(around.monotonic())
+            if link.fault or self._fault or around.monotonic() > until_s:
                 raise SetupError(
                     link.fault or self._fault or "the door does not start; see its log"
                 )
-            time.sleep(LOOK_S)
+            around.sleep(LOOK_S)
         self._was_ready = True
 
     def look(self, now_s: float) -> None:
-        """Give the link a restarted door, read its packets, and kill a door that the link dropped;
-        `now_s` is monotonic."""
+        """Give the link a new door, read its packets, and see to a door that has ended, or that the
+        link dropped; `now_s` is monotonic."""
         link = self._link
-        while not self._started.empty():  # this thread alone takes from it
-            self._process, end = self._started.get()
+        if self._new is not None:
+            (self._process, end), self._new = self._new, None
+            self._met_s = now_s
             link.attach(end, now_s)
         link.look(now_s)
         if link.fault and self._was_ready:
             log.error("door: %s", link.fault)
             link.fault = ""
-        if link.end is None and self._process is not None:
-            self._process.kill()
-            self._process = None
+        if self._process is not None:
+            self._watch(self._process, now_s)
+        elif now_s >= self._next_s and not self._worker.behind and self._new is None:
+            self._begin(now_s)
 
     def close(self) -> None:
         """Let the door go, and wait until it has ended."""
-        self._stops.set()  # first: a door that ends is started again
+        self._next_s = math.inf
         self._link.detach()
-        if self._thread.ident is None:
+        self._worker.close(STOP_S)
+        if self._new is not None:
+            self._process, end = self._new
+            end.close()
+        if self._process is None:
             return
-        while not self._started.empty():
-            self._started.get()[1].close()
-        self._thread.join(STOP_S)
-        if self._thread.is_alive() and self._newest is not None:
-            self._newest.kill()
-            self._thread.join(STOP_S)
+        try:
+            self._process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait(STOP_S)
 
-    def _keep(self) -> None:
-        while not self._stops.is_set():
-            began_s = time.monotonic()
-            try:
-                status = self._start().wait()
-            except OSError as error:
-                self._fault = f"the door cannot be started: {sys.executable} ({error.strerror})"
-                log.error("%s", self._fault)
-                status = REFUSED
-            if self._stops.is_set():
-                return
-            if status == REFUSED:
-                self._stops.wait(REFUSED_PAUSE_S)
-                continue
+    def _begin(self, now_s: float) -> None:
+        self._next_s = now_s + REFUSED_PAUSE_S  # if it cannot be started
+        self._worker.give(self._start)
+
+    def _start(self) -> None:
+        try:
+            self._new = self._around.start_door(self._settings)
+        except OSError as error:
+            self._fault = f"the door cannot be started: {sys.executable} ({error.strerror})"
+            log.error("%s", self._fault)
+        else:
+            self.starts += 1
+
+    def _watch(self, process: DoorProcess, now_s: float) -> None:
+        """Kill a door that the link dropped; have one that has ended started again."""
+        if self._link.end is None:
+            process.kill()
+        status = process.poll()
+        if status is None:
+            return
+        self._process, self._next_s = None, now_s + REFUSED_PAUSE_S
+        if status != REFUSED:
             ending = signal.strsignal(-status) if status < 0 else f"status {status}"
             log.warning("door: ended: %s; it is started again", ending)
-            if time.monotonic() < began_s + EARLY_S:
-                self._stops.wait(EARLY_PAUSE_S)
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        """Raises OSError where no descriptor or no process is left."""
-        loops, doors = pair.open_pair()
-        command = [sys.executable, "-P", "-m", "taxeld.door.process", str(doors.fileno())]
-        try:
-            process = subprocess.Popen(  # noqa: S603  (our own module)
-                [*command, json.dumps(asdict(self._settings))],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                pass_fds=[doors.fileno()],
-                env={k: v for k, v in os.environ.items() if not k.startswith(LOOPS_OWN)},
-            )
-        except OSError:
-            loops.close()
-            raise
-        finally:
-            doors.close()
-        self.starts += 1
-        with contextlib.suppress(OSError):  # at once: a door that is starting has the loop's score
-            Path(f"/proc/{process.pid}/oom_score_adj").write_text(str(OOM_SCORE), encoding="ascii")
-        self._newest = process
-        self._started.put((process, loops))
-        if self._stops.is_set():
-            loops.close()
-        return process
+            self._next_s = now_s + EARLY_PAUSE_S * (now_s < self._met_s + EARLY_S)
 
 
 def settings_of(config: Config) -> tuple[Settings, Settings]:

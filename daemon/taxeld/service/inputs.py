@@ -4,16 +4,16 @@ latter (docs/troubleshooting.md has more mistakes, by the counts of `taxeld stat
 import contextlib
 import math
 from collections import deque
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 
-from taxeld.config.tables import Config
+from taxeld.config.tables import Config, SourceConfig
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.poses import FAR_M
 from taxeld.service.doorkeeper import Doorkeeper, poses_alone
-from taxeld.source.opening import open_source, open_sources
+from taxeld.service.surroundings import MACHINE, Surroundings
+from taxeld.source.opening import open_sources
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import ArraySource, polled
+from taxeld.source.sources import ArraySource, LiveSource, Source, polled
 from taxeld.stream.link import Link, PeerLine
 from taxeld_protocol.decoder import Scan
 
@@ -100,6 +100,7 @@ class Inputs:
         link: Link,
         recorder: Recorder | None = None,
         door: Doorkeeper | None = None,
+        around: Surroundings = MACHINE,
     ) -> None:
         """Open all sources; `layouts`: of each link. `recorder` gets what the devices read. A
         daemon has a `door` of its own, and devices that are away are opened later; else one is
@@ -110,9 +111,16 @@ class Inputs:
         """
         self._names, self._link = config.names, link
         self.watch = PoseWatch(config.sensor_pose.endpoint, config.source.period_ms / 1000.0)
-        open_one = partial(open_source, recorder=recorder, wait=door is not None)
+        is_daemon = door is not None
+
+        def open_one(source: SourceConfig, skins: Mapping[int, Layout]) -> Source:
+            if source.kind == "array":
+                return ArraySource(source, skins, recorder, around.unix)
+            opens, clock = around.open_device, around.monotonic
+            return LiveSource(source, skins, opens, recorder, wait=is_daemon, clock=clock)
+
         with contextlib.ExitStack() as opened:
-            self.door = door or Doorkeeper(poses_alone(config))
+            self.door = door or Doorkeeper(poses_alone(config), around)
             opened.enter_context(contextlib.closing(self.door))
             # that of the first link first
             self.sources = open_sources(config, layouts, open_one, opened)

@@ -14,7 +14,6 @@ import io
 import logging
 import math
 import os
-import time
 import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -36,10 +35,11 @@ from taxeld.estimator.scans import (
 )
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.stage import later
+from taxeld.service.surroundings import MACHINE, Surroundings
 from taxeld.skin.calibration import SkinState
 from taxeld.skin.skin import Skin
 from taxeld.stream.link import Link
-from taxeld.worker import Job, Worker
+from taxeld.worker import Job
 
 NAME, ASIDE = "kept.npz", "failed.npz"
 MEMORY = "the scans for clients"
@@ -61,7 +61,7 @@ class Store:
     """The skins and the belief of one run, and their file, if there is a directory to keep it
     in."""
 
-    def __init__(self, config: Config, pipeline: Pipeline) -> None:
+    def __init__(self, config: Config, pipeline: Pipeline, around: Surroundings = MACHINE) -> None:
         """Nothing is read or written before `restore`."""
         self.failed = 0  # times that the file, or the scans for clients, could not be written
         self._place, self._pipeline = directory(config), pipeline
@@ -78,7 +78,7 @@ class Store:
         self._packed: BinaryIO | None = None  # scans for clients, until the door has them
         self._handed: tuple[object, ...] = ()  # what was packed last, and for which door
         self._next_memory_s = -math.inf
-        self._worker = Worker("kept")
+        self._unix, self._worker = around.unix, around.worker("kept")
 
     @property
     def pending(self) -> int:
@@ -121,7 +121,7 @@ class Store:
         if state.digest != skin.digest:
             _warn(self._path, "it is of another skin: the idle baseline is learned again")
             return
-        age_s = time.time() - state.t
+        age_s = self._unix() - state.t
         is_fresh = abs(age_s) <= BASELINE_S  # a clock may be set back
         skin.restore(state, baseline=is_fresh)
         if not is_fresh:
@@ -131,7 +131,7 @@ class Store:
 
     def _restore_belief(self, stored: Arrays) -> None:
         """Have the belief learn again from what an earlier run felt."""
-        estimator, age_s = self._pipeline.estimator, time.time() - stored["t"].item()
+        estimator, age_s = self._pipeline.estimator, self._unix() - stored["t"].item()
         why = f"it is {age_s:.0f} s old" if abs(age_s) > self._keep_s else ""
         if stored["digest"].item() != estimator.digest:
             why = "it is of another scene, skin or configuration"
@@ -183,7 +183,7 @@ class Store:
     def close(self) -> None:
         """Write the last of all, unless the disk does not take it in time."""
         if self._path is not None:
-            self._give_all(self._path, time.time())
+            self._give_all(self._path, self._unix())
         if self._worker.close(CLOSE_S) and self._lock >= 0:
             os.close(self._lock)
             self._lock = -1

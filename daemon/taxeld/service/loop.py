@@ -8,7 +8,6 @@ pipeline has one to make.
 import contextlib
 import gc
 import logging
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -18,16 +17,17 @@ from taxeld.pipeline.poses import FAR_M
 from taxeld.prior import PosePrior
 from taxeld.proposals import bundle
 from taxeld.service import realtime
-from taxeld.service.clock import ALL, Ready, Ticker, WallClock, wait
+from taxeld.service.clock import ALL, Ready, Ticker, WallClock
 from taxeld.service.doorkeeper import Doorkeeper, settings_of
 from taxeld.service.inputs import Inputs
 from taxeld.service.kept import Store
 from taxeld.service.notify import Notifier
 from taxeld.service.prepare import digest, prepared
 from taxeld.service.publisher import LoopCounters, Publisher
+from taxeld.service.surroundings import MACHINE, Surroundings
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import ClockStep, Item, Pass, SensorPose
-from taxeld.source.sources import polled
+from taxeld.source.sources import Source, polled
 from taxeld.stream import messages
 from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Scan
@@ -46,35 +46,38 @@ log = logging.getLogger(__name__)
 class Daemon:
     """A configuration in operation."""
 
-    def __init__(self, config: Config, recorder: Recorder | None = None) -> None:
-        """Open everything that a run needs; `recorder` gets the input from skin and robot.
+    def __init__(
+        self, config: Config, recorder: Recorder | None = None, around: Surroundings = MACHINE
+    ) -> None:
+        """Open everything that a run needs; `recorder` gets the input from skin and robot, and is
+        entered already. `around`: the machine.
 
         Raises:
             SetupError: a part of it cannot be used.
         """
         with contextlib.ExitStack() as opened:
             # the doors' processes start while the slow parts here load
-            keepers = [contextlib.closing(Doorkeeper(each)) for each in settings_of(config)]
+            keepers = [contextlib.closing(Doorkeeper(each, around)) for each in settings_of(config)]
             self.doors = [opened.enter_context(each) for each in keepers]
-            made = prepared(config, time.time(), time.perf_counter_ns)
+            made = prepared(config, around.unix(), around.work_ns, load=around.bundles)
             self.config, self.layouts, self.pipeline = made.config, made.layouts, made.pipeline
             self.pipeline.thinks_at_once = False
             self._objects = bundle.scenes(made.bundles)
-            self.counters, self.clock = LoopCounters(), WallClock()
+            self.counters = LoopCounters()
+            self.clock = WallClock(around.unix, around.monotonic)
             self.realtime, self.recorder = realtime.RealTime(), recorder
-            self.start_s = time.monotonic()
+            self.around, self.start_s = around, around.monotonic()
             self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
             self._next_look_s, self._source_ns = 0.0, 0  # CPU time of taking the last scans
-            self.kept = Store(self.config, self.pipeline)
+            self.kept = Store(self.config, self.pipeline, around)
             changes = {"tare": self._tare, "reset": self._reset, "prior": self._prior}
             info = self._info()
             self.link = Link(info, self.on_pose, changes, Link(info, self.on_pose, changes))
             opened.callback(self.kept.close)
-            if recorder:
-                opened.enter_context(recorder)
-            self.inputs = Inputs(self.config, self.layouts, self.link, recorder, self.doors[0])
+            given = self.config, self.layouts, self.link, recorder, self.doors[0]
+            self.inputs = Inputs(*given, around)
             opened.enter_context(contextlib.closing(self.inputs))
-            self.publisher = Publisher(made, self.inputs, self.link, self.counters)
+            self.publisher = Publisher(made, self.inputs, self.link, self.counters, around)
             for door, link in zip(self.doors, self.link.doors, strict=True):
                 door.wait(link)
             self._opened = opened.pop_all()
@@ -92,8 +95,8 @@ class Daemon:
             if pipeline.has_object:
                 pipeline.warm_up()
             self.kept.restore()
-            pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
-            with realtime.thread(self.config.loop.priority) as self.realtime:
+            pipeline.freshness.came(self.around.monotonic() + START_S)  # no fault before
+            with self.around.realtime(self.config.loop.priority) as self.realtime:
                 notifier.ready()
                 self.publisher.ready()
                 self._loop(notifier, ends)
@@ -106,7 +109,7 @@ class Daemon:
         self._opened.close()
 
     def _loop(self, notifier: Notifier, ends: Callable[[], bool]) -> None:
-        ticker = Ticker(self.config.loop.rate_hz, self.publisher.estimate_s)
+        ticker = Ticker(self.config.loop.rate_hz, self.publisher.estimate_s, self.around.monotonic)
         next_collect_s, ready = 0.0, ALL
         while not ends():
             scans, now = self.take(ready), ticker.begin()
@@ -128,7 +131,7 @@ class Daemon:
         until_s = ticker.until(busy=is_busy)
         hears = pipeline.has_waiting or self.inputs.array is not None
         door, devices = self.link.end if hears else None, [source.device for source in sources]
-        ready = wait(devices, door, until_s)
+        ready = self.around.wait(devices, door, until_s)
         self.counters.unpolled += ready is ALL
         return ready
 
@@ -139,7 +142,8 @@ class Daemon:
         until the door has answered: a pass for each of them would cost more than all work on the
         scan.
         """
-        began_ns, now_s = time.thread_time_ns(), time.monotonic()
+        around = self.around
+        began_ns, now_s = around.cpu_ns(), around.monotonic()
         (wall_s, stepped), sources = self.clock.read(), self.inputs.sources
         if stepped:
             self._record(ClockStep(wall_s, stepped))
@@ -156,32 +160,33 @@ class Daemon:
             scans = polled(sources, now_s)
         until_s = now_s + ANSWER_S
         for _ in range(GATHERS if ready.device else 0):
-            now_s, has_more = time.monotonic(), not scans and any(s.is_coming for s in sources)
+            now_s, has_more = around.monotonic(), not scans and any(s.is_coming for s in sources)
             if self.link.is_asking and now_s < until_s:
-                wait([], self.link.end, now_s + GATHER_S if has_more else until_s)
-                self._look(time.monotonic())
+                around.wait([], self.link.end, now_s + GATHER_S if has_more else until_s)
+                self._look(around.monotonic())
             elif has_more:
-                time.sleep(GATHER_S)
+                around.sleep(GATHER_S)
             else:
                 break
-            scans += polled(sources, time.monotonic())
-        self._source_ns = time.thread_time_ns() - began_ns
+            scans += polled(sources, around.monotonic())
+        self._source_ns = around.cpu_ns() - began_ns
         return scans
 
     def tick(self, now_s: float, scans: Sequence[Scan] = (), ready: Ready = ALL) -> None:
         """One pass over the scans that were taken: pipeline and outputs. `now_s` is monotonic;
         `ready` names the inputs that had arrivals. Without any there is time for a search."""
         source_ns, self._source_ns = self._source_ns, 0
-        start_ns, cpu_ns = time.perf_counter_ns() - source_ns, time.thread_time_ns()
+        around = self.around
+        start_ns, cpu_ns = around.work_ns() - source_ns, around.cpu_ns()
         began_ns, source_us = cpu_ns - source_ns, source_ns / 1000.0
-        pipeline, publisher, wall_s = self.pipeline, self.publisher, time.time()
+        pipeline, publisher, wall_s = self.pipeline, self.publisher, around.unix()
         if scans or pipeline.has_waiting:
             self._record(Pass(wall_s))
         for outcome in pipeline.advance(scans, wall_s):
             pipeline.freshness.came(now_s, outcome.link)
             start_ns = publisher.outcome(outcome, source_us, start_ns, now_s)
             source_us = 0.0  # the time counts for the first scan alone
-            before_ns, cpu_ns = cpu_ns, time.thread_time_ns()
+            before_ns, cpu_ns = cpu_ns, around.cpu_ns()
             if outcome.is_used and outcome.estimate.injected:
                 self._judge_touch(cpu_ns - before_ns)
         if not (scans or ready.device) and pipeline.has_thought:
@@ -191,10 +196,10 @@ class Daemon:
         self.kept.keep(now_s, wall_s)
         self.kept.remember(self.link, now_s)
         if publisher.send_due(now_s):
-            t = time.time()
+            t = around.unix()
             self.inputs.look(t)
             publisher.health(self.health(now_s, t), now_s)
-        own_s = (time.thread_time_ns() - began_ns) / 1e9
+        own_s = (around.cpu_ns() - began_ns) / 1e9
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
 
     def _look(self, now_s: float) -> None:
@@ -230,10 +235,10 @@ class Daemon:
         """`/taxeld/health` from all parts of the daemon; `now_s` is monotonic, t Unix time. The
         table in `stream/values.md` chooses what is published of all that is counted."""
         pipeline, inputs, link = self.pipeline, self.inputs, self.link
-        source, report = inputs.sources[0], link.report
+        robot = link.report.robot
         calibration, counted = pipeline.stages[0].calibration, pipeline.health()
         counted["inputs"] |= {
-            "poses_malformed": report.robot.malformed,
+            "poses_malformed": robot.malformed,
             "poses_rate_hz": inputs.watch.rate_hz,
             "poses_age_s": inputs.watch.age_s,
             "poses_offset_s": inputs.watch.offset_s,
@@ -243,12 +248,7 @@ class Daemon:
             "loop": asdict(self.counters),
             "lat_us": {"total": self.publisher.percentiles()},
             "realtime": asdict(self.realtime),
-            "source": {
-                **source.decoder.stats(),
-                **({"malformed": report.array.malformed} if source is inputs.array else {}),
-                **asdict(source.counters),
-                "bus": {fault: n for fault, n in source.bus.counts.items() if n},
-            },
+            "source": self._counted(inputs.sources[0]),
             "calibration": {"age_s": t - calibration.t if calibration else -1.0},
             "door": {
                 "starts": sum(door.starts for door in self.doors),
@@ -262,14 +262,24 @@ class Daemon:
             **counted,
         }
         if len(self.layouts) > 1:
-            whys, of_source = pipeline.freshness.of_links(now_s), dict[int, dict[str, int]]()
-            for each in inputs.sources:
-                of_source |= dict.fromkeys(each.links.numbers, asdict(each.counters))
+            whys = pipeline.freshness.of_links(now_s)
+            # of links on one source, the first tells of it
+            told = {each.links.numbers[0]: self._counted(each) for each in inputs.sources}
             parts["links"] = {
-                name: {"why": int(whys[k]), "source": of_source[k], **pipeline.stages[k].health()}
+                name: {
+                    "why": int(whys[k]),
+                    "source": told.get(k, {}),
+                    **pipeline.stages[k].health(),
+                }
                 for k, name in enumerate(self.config.names)
             }
         return messages.health(self.publisher.seq, t, parts)
+
+    def _counted(self, source: Source) -> dict[str, Any]:
+        found = source.decoder.stats() | asdict(source.counters)
+        if source is self.inputs.array:
+            found["malformed"] = self.link.report.array.malformed
+        return found | {"bus": {fault: n for fault, n in source.bus.counts.items() if n}}
 
     def _tare(self) -> None:
         self.pipeline.tare()

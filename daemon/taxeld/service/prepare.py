@@ -1,6 +1,7 @@
 """What a run needs beside devices: layouts, bundles, calibrations, and the pipeline of them."""
 
 import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 from taxeld.config.tables import Config
@@ -11,6 +12,9 @@ from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.samples import ClockNs
 from taxeld.service import calibration_file
+from taxeld.service.surroundings import MACHINE
+
+Load = Callable[[Config, Sequence[Layout]], list[Bundle]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +32,12 @@ def prepared(
     t: float,
     clock: ClockNs | None = None,
     *,
+    load: Load = MACHINE.bundles,
     recorded: bool = False,
 ) -> Prepared:
     """All parts, for a start at Unix time `t`. With a `clock` [ns] samples are chosen by their cost
-    on this machine. What is `recorded` may be older than its calibration.
+    on this machine. `load`: as `Surroundings.bundles`. What is `recorded` may be older than its
+    calibration.
 
     Raises:
         SetupError: one of them cannot be used.
@@ -41,7 +47,7 @@ def prepared(
         calibration_file.load(one.skin, layout, t, recorded=recorded)
         for one, layout in zip(config.each, skins, strict=True)
     ]
-    bundles = bundle.load_all(config.scene, skins, config.skin.full_scale_depth_m)
+    bundles = load(config, skins)
     config = bundle.sized(config, [one.manifest for one in bundles])
     samples = choice.samples(bundles, config.filter, clock)
     models = [one.model for one in bundles]

@@ -1,6 +1,5 @@
 """What a run publishes: each result of its pipeline, and by the clock what is due without one."""
 
-import time
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,7 @@ from taxeld.proposals import bundle
 from taxeld.service.inputs import Inputs
 from taxeld.service.notices import Notices
 from taxeld.service.prepare import Prepared
+from taxeld.service.surroundings import Surroundings
 from taxeld.skin.patches import Patches
 from taxeld.stream import messages, topics
 from taxeld.stream.link import Link
@@ -37,13 +37,20 @@ class LoopCounters:
 class Publisher:
     """Sends messages to subscribers, answers `status` and logs what has changed."""
 
-    def __init__(self, made: Prepared, inputs: Inputs, link: Link, counters: LoopCounters) -> None:
+    def __init__(
+        self,
+        made: Prepared,
+        inputs: Inputs,
+        link: Link,
+        counters: LoopCounters,
+        around: Surroundings,
+    ) -> None:
         self.seq = 0  # number of the last estimate
         self.scans = 0  # that were worked on to their end
         config = made.config
         self.estimate_s = 1.0 / config.publish.rate_hz if made.bundles else HEALTH_S
         self._config, self._pipeline, self._link = config, made.pipeline, link
-        self._inputs, self._counters = inputs, counters
+        self._inputs, self._counters, self._around = inputs, counters, around
         self._names = tuple(bundle.scenes(made.bundles))
         self._patches = [
             Patches(layout, one.skin.full_scale_depth_m)
@@ -62,8 +69,8 @@ class Publisher:
 
     def outcome(self, outcome: Outcome, source_us: float, start_ns: int, now_s: float) -> int:
         """Publish the outcome of a scan, on which work began at `start_ns`; → the time now, on
-        `perf_counter_ns` as well."""
-        begin_ns, link, t = time.perf_counter_ns(), self._link, outcome.estimate.t
+        the same clock."""
+        begin_ns, link, t = self._around.work_ns(), self._link, outcome.estimate.t
         stage, activation = self._pipeline.stages[outcome.link], outcome.activation
         # `publish` is the previous message's: this one is not sent yet
         total_us = (begin_ns - start_ns) / 1000.0 + self._publish_us
@@ -77,7 +84,7 @@ class Publisher:
         if activation is not None:
             self._send_activation(activation, outcome.sensor, now_s, outcome.link)
         self._took(total_us)
-        end_ns = time.perf_counter_ns()
+        end_ns = self._around.work_ns()
         self._publish_us = (end_ns - begin_ns) / 1000.0
         return end_ns
 
@@ -144,7 +151,7 @@ class Publisher:
 
     def _send_estimate(self, lat_us: dict[str, float], now_s: float) -> None:
         self.seq += 1
-        wall_s, freshness = time.time(), self._pipeline.freshness
+        wall_s, freshness = self._around.unix(), self._pipeline.freshness
         estimate = self._published = self._pipeline.estimate_at(now_s)
         self._next_estimate_s = now_s + self.estimate_s
         before, self._why = self._why, freshness.why(estimate, now_s)
@@ -156,7 +163,7 @@ class Publisher:
             names=self._names,
             seq=self.seq,
             why=self._why,
-            mono_ns=time.monotonic_ns(),
+            mono_ns=round(1e9 * self._around.monotonic()),
             age_us=(wall_s - estimate.t) * 1e6 if estimate.t else 0.0,
             overruns=self._counters.overruns,
             degraded=int(self._pipeline.samples.degraded),

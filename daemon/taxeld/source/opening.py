@@ -10,9 +10,8 @@ from taxeld.layout.layout import Layout
 from taxeld.source.device import Device
 from taxeld.source.lines import SerialDevice, SlcanDevice
 from taxeld.source.links import check_uids
-from taxeld.source.recorder import Recorder
 from taxeld.source.socketcan import SocketCanDevice
-from taxeld.source.sources import ArraySource, LiveSource, Source
+from taxeld.source.sources import Source
 
 INTERFACE_MAX = 15  # characters of an interface's name (IFNAMSIZ)
 
@@ -34,25 +33,6 @@ def open_sources(
         found.append(open_one(source, {k: layouts[k] for k in numbers}))
         opened.callback(found[-1].close)
     return found
-
-
-def open_source(
-    config: SourceConfig,
-    skins: Mapping[int, Layout],
-    recorder: Recorder | None = None,
-    *,
-    wait: bool = False,
-) -> Source:
-    """The configured source; `skins`: the layouts on it by the numbers of their links. `recorder`
-    gets all frames or bytes of the wire. With `wait`, a missing or busy device is opened as soon as
-    possible, instead of raising.
-
-    Raises:
-        SetupError: the device cannot be opened.
-    """
-    if config.kind == "array":
-        return ArraySource(config, skins, recorder)
-    return LiveSource(config, skins, open_device, recorder, wait=wait)
 
 
 def open_device(config: SourceConfig) -> Device:

@@ -11,17 +11,17 @@ import errno
 import logging
 import math
 import os
-import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import Self
 
 from taxeld.errors import SetupError
 from taxeld.source.session import ARRIVALS, CONFIG, VERSION, Arrival, Head, Item, packed
-from taxeld.worker import Worker
+from taxeld.worker import Job, Worker
 from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.frames import Chunk, Frame
 
@@ -36,6 +36,11 @@ RECORD_BYTES = 200  # memory of an arrival beside its data, roughly
 log = logging.getLogger(__name__)
 
 
+def new_file(path: Path) -> FileIO:
+    """Open a file where none is; a link is not followed (O_EXCL)."""
+    return FileIO(path, "x")
+
+
 class Recorder:
     """Writes a session directory while it is entered; nothing if nothing comes."""
 
@@ -47,9 +52,11 @@ class Recorder:
         modules: Mapping[int, tuple[tuple[int, ...], ...]] | None = None,
         config: Path | None = None,
         calibration: Path | None = None,
+        worker: Callable[[str, Job, float], Worker] = Worker,
+        open_new: Callable[[Path], FileIO] = new_file,
     ) -> None:
         """`moves` and `modules`: as of Head. `config` is kept with the session, together with its
-        `calibration` if that lies beside it.
+        `calibration` if that lies beside it. `open_new`: as `new_file`.
 
         Raises:
             SetupError: the directory cannot be written to, or has a file of a session already.
@@ -65,7 +72,7 @@ class Recorder:
         self.written = self._packed = 0  # arrivals on the disk, and with those on their way to it
         self.failed, self._fault = False, ""  # whether it has ended; for what it waits
         self._next_sync_s = -math.inf
-        self._closing = threading.Event()
+        self._start, self._open_new = worker, open_new
 
     @property
     def dropped(self) -> int:
@@ -83,12 +90,11 @@ class Recorder:
         self._waiting.append(Arrival(item.t if t is None else t, link, item))
 
     def __enter__(self) -> Self:
-        self._worker = Worker("recorder")
-        self._worker.give(self._run)
+        self._worker = self._start("recorder", self._turn, PAUSE_S)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._closing.set()
+        self._worker.give(partial(self._turn, closing=True))
         if not self._worker.close(CLOSE_S):
             self._fail(f"the disk did not take the last of it within {CLOSE_S:g} s")
 
@@ -96,20 +102,21 @@ class Recorder:
         self.failed = True
         log.warning("%s: the recording has ended (%s)", self._directory, reason)
 
-    def _run(self) -> None:
+    def _turn(self, *, closing: bool = False) -> None:
+        """Write what has come, unless the recording has ended."""
         try:
-            while not self._turn():
-                pass
+            if not self.failed:
+                self._sync(closing=closing)
         except Exception as error:  # a fault of ours is to be seen as well
             self._fail(getattr(error, "strerror", None) or repr(error))
             self._waiting.clear()
-        for file in self._open.values():
+        for file in self._open.values() if closing or self.failed else ():
             with contextlib.suppress(OSError):
                 file.close()
 
-    def _turn(self) -> bool:
-        """Wait a moment, and write what has come; → whether that was the last. Raises OSError."""
-        closing, fault = self._closing.wait(PAUSE_S), ""
+    def _sync(self, *, closing: bool) -> None:
+        """Write what has come, and now and then have the disk keep it. Raises OSError."""
+        fault = ""
         try:
             self._write()
             if closing or time.monotonic() >= self._next_sync_s:
@@ -123,7 +130,6 @@ class Recorder:
         if fault != self._fault:
             log.warning("%s: the recording %s", self._directory, fault or "goes on")
         self._fault = fault
-        return closing
 
     def _write(self) -> None:
         """Write what has come. Raises OSError; then the next call goes on with the rest."""
@@ -143,8 +149,7 @@ class Recorder:
         for name, rest in self._rest.items() if self._packed else ():
             if name not in self._open:
                 self._directory.mkdir(parents=True, exist_ok=True)
-                # O_EXCL, which follows no link
-                self._open[name] = FileIO(self._directory / name, "x")
+                self._open[name] = self._open_new(self._directory / name)
             while rest:  # a nearly full disk takes a part, and refuses the rest
                 del rest[: self._open[name].write(rest)]
         self.written = self._packed

@@ -149,7 +149,15 @@ class LiveSource(Source):
         recorder: Recorder | None = None,
         *,
         wait: bool = False,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        """`wait`: for a device that is missing or busy, which is opened as soon as possible, in
+        place of raising.
+
+        Raises:
+            SetupError: the device cannot be opened, or the conditions of `live`.
+        """
+        self._clock = clock
         decoder, self._bring_up = live(config, joint(list(skins.values())))
         super().__init__(decoder, skins, recorder)
         self._open: Callable[[], Device] = lambda: device(config)
@@ -210,7 +218,7 @@ class LiveSource(Source):
         self.device = device
         self._requests.clear()
         self._pause_s = REOPEN_S[0]
-        self._polled_s = time.monotonic()
+        self._polled_s = self._clock()
         self.waits_for = ""
         self._amiss.clear()
 
@@ -344,10 +352,11 @@ class ArraySource(Source):
         config: SourceConfig,
         skins: Mapping[int, Layout],
         recorder: Recorder | None = None,
+        unix: Callable[[], float] = time.time,
     ) -> None:
         uids = joint(list(skins.values())).uid.tolist()
         super().__init__(ArrayDecoder(uids, config.array), skins, recorder)
-        self._endpoint = config.endpoint
+        self._endpoint, self._unix = config.endpoint, unix
         self._held: deque[ArrayFrame] = deque(maxlen=HELD_MAX)
         self._good_s: float | None = None  # when a frame was used last
         self._said: set[str] = set()
@@ -367,7 +376,7 @@ class ArraySource(Source):
 
     def poll(self, now_s: float) -> list[Scan]:
         self._good_s = now_s if self._good_s is None else self._good_s
-        self.decoder.now_t = time.time()
+        self.decoder.now_t = self._unix()
         scans: list[Scan] = []
         while self._held:
             frame = self._held.popleft()
