@@ -120,7 +120,7 @@ def test_a_touch_is_learned_by_a_few_objects_at_once(known: list[Known]) -> None
     subject.on_scan = partial(on_scan, thinks=False)  # type: ignore[method-assign]
     world.press(subject, SIDES[1])
     assert subject.bank.is_behind
-    (left,) = subject.bank.due
+    (left,) = [k for k, belief in enumerate(beliefs) if belief.pending]
     assert len(known) - FOLLOWED == 1
     now = subject.estimate
     assert now.objects[left] / max(now.objects) == pytest.approx(
@@ -133,7 +133,7 @@ def test_a_touch_is_learned_by_a_few_objects_at_once(known: list[Known]) -> None
         assert not changed
         changed = subject.think()
     assert changed
-    assert not subject.bank.due
+    assert not beliefs[left].pending
 
 
 def _counted(method, asked: list[int], k: int):  # type: ignore[no-untyped-def]

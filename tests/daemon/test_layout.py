@@ -241,7 +241,7 @@ def test_touches_are_explained_as_the_dense_model_says(box_model: ObservationMod
         memory = plus(memory, Observation(np.array(sensor), z, live))
         dense.append(noise.log_density(z, h) @ live.astype(float))
     assert np.allclose(memory.explain(poses).scans, np.array(dense).T, atol=0.01)
-    assert np.allclose(memory.explain_next(memory.scans[-1], poses), dense[-1], atol=0.01)
+    assert np.allclose(memory.explain_newest(poses)[:, 0], dense[-1], atol=0.01)
     memory = memory.only(np.array([False, True, True]))
     assert np.allclose(memory.explain(poses).scans, np.array(dense).T[:, 1:], atol=0.01)
     assert memory.explain(poses[:0]).scans.shape == (0, 2)

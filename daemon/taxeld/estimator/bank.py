@@ -1,11 +1,12 @@
 """Which of several known objects is felt: a belief for each, and one posterior over them all.
 
 Every object explains the same contacts, in relation to readings without it, so their evidence can
-be compared. An object that is ruled out learns no more and costs nothing. When no known object
-explains the contacts, those that were ruled out are tried again on all that is remembered, one at a
-time, while there is nothing else to do.
+be compared. The likeliest learn from each scan at once. The others learn while there is nothing
+else to do, one scan at a time. An object that is ruled out learns no more and costs nothing, until
+no known object explains the contacts: then it is tried again on all that is remembered.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -22,9 +23,9 @@ from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.symmetry import Mode
 from taxeld.prior import PosePrior
 
-FOLLOWED = 2  # objects that learn from every scan
-LATER_MAX = 64  # scans that an object may have to learn later
-RULED_OUT = 1e-4  # probability below which an object is not tried after each contact
+FOLLOWED = 2  # objects that learn from every scan at once
+RULED_OUT = 1e-4  # probability below which an object learns no more
+LEAST_SHARE = 1e-100  # of an object's probability, so that it has a logarithm
 DOUBTED = 0.01  # probability from which an object has modes, and is searched
 
 
@@ -63,20 +64,16 @@ def touching(model: ObservationModel, poses: Poses) -> Poses:
 
 
 class Bank:
-    """Beliefs about K objects, by the same belief."""
+    """Beliefs about K objects."""
 
     def __init__(self, beliefs: Sequence[ObjectBelief], first: int = 0) -> None:
         """`first`: the object that is followed until something is touched."""
         self.beliefs = list(beliefs)
-        self._followed = [first]
-        self.ruled_out: set[int] = set()
-        self.due: list[int] = []  # to be tried on what is remembered, the likeliest first
-        self._restarted = -1  # number of the last contact that an earlier daemon felt
-        self._best_before = np.zeros(len(beliefs))  # log evidence of the best when each was tried
-        self._later: list[list[ScanEvidence]] = [[] for _ in beliefs]  # not learned yet
-        self._used = 0  # samples, by the object that is learning what is due
-        self._contact = self._touches = 0  # number of the last contact, and how many there were
         self.best = first
+        self.ruled_out: set[int] = set()
+        self._followed = [first]
+        self._contact = self._touches = 0  # number of the last contact, and how many there were
+        self._restarted = -1  # number of the last contact that an earlier daemon felt
         self._weigh()
 
     @property
@@ -106,9 +103,8 @@ class Bank:
         own = self.belief.place.modes
         if len(self.beliefs) == 1:
             return own
-        share = self.odds.objects / self.odds.objects.sum()
         every = [
-            replace(mode, weight=float(share[k]) * mode.weight, object=k)
+            replace(mode, weight=self.beliefs[k].share * mode.weight, object=k)
             for k in self.likely
             for mode in self.beliefs[k].place.modes
         ]
@@ -118,10 +114,8 @@ class Bank:
     @property
     def likely(self) -> list[int]:
         """The likeliest object, and others that are not much less likely."""
-        if len(self.beliefs) == 1:
-            return [self.best]
         others = (k for k in self._by_odds() if k != self.best)
-        # one that is yet to be tried may seem likelier
+        # one that has scans to learn may seem likelier
         return [self.best, *(k for k in others if self.odds.objects[k] >= DOUBTED)]
 
     def follow(self, before: Observation, after: Observation) -> None:
@@ -133,26 +127,23 @@ class Bank:
         """Learn from a scan; → the number of samples injected, and the scan's log evidence for the
         object that was the likeliest before."""
         injected, evidence = 0, 0.0
-        before, is_new = self.belief.evidence.log_z, scan.is_contact and scan.number > self._contact
-        passed = {*self._followed, *self.ruled_out}
-        waiting = [k for k in self._by_odds() if k not in passed]
-        if self._touches:
-            for k in waiting:
-                self._later[k] = [*self._later[k], scan][-LATER_MAX:]
-        for k in self._followed:
-            samples, told = self.beliefs[k].take(scan)
-            injected += samples
-            evidence = told if k == self.best else evidence
+        is_new = scan.is_contact and scan.number > self._contact
         if is_new:
             self._contact = scan.number
             self._touches += 1
-            self._best_before[[k for k in waiting if k not in self.due]] = before
-            self.due = waiting
-        if is_new or injected or evidence:  # else nothing was told
+        for k, belief in enumerate(self.beliefs):
+            if k in self._followed:
+                samples, log_p = belief.take(scan)
+                injected += samples
+                evidence = log_p if k == self.best else evidence
+            elif self._touches and k not in self.ruled_out:
+                belief.pending.append(scan)
+        if is_new or injected or evidence:  # else nothing was learned
             self._weigh()
         # whether no likely object explains the contacts
         if is_new and self._touches > 1 and self.odds.hypotheses.stands < 0.5:
-            self.due += sorted(self.ruled_out)
+            for k in self.ruled_out:
+                self.beliefs[k].pending.append(scan)
         return injected, evidence
 
     def take_prior(self, pose: PosePrior, contacts: int, of: Sequence[int]) -> None:
@@ -163,39 +154,42 @@ class Bank:
 
     @property
     def is_behind(self) -> bool:
-        """Whether a likely object has not been tried since the last contact."""
-        return any(k not in self.ruled_out for k in self.due)
+        """Whether a likely object has scans to learn."""
+        return any(k not in self.ruled_out for k in self._behind())
 
     @property
     def is_open(self) -> bool:
         """Whether `revisit` may find anything."""
-        return bool(self.due) or self._opens() is not None
+        return bool(self._behind()) or self._opens() is not None
 
-    def revisit(self) -> int:
-        """Have an object learn the next scan that it has not learned from, or search for another
-        place; → the number of samples used, once it has learned them all."""
-        if self.due:
-            k = self.due[0]
-            belief, later = self.beliefs[k], self._later[k]
-            if k in self.ruled_out or not later:
-                self._used = belief.adopt(self.belief.memory)
-                later.clear()
+    def revisit(self) -> int | None:
+        """Have the likeliest object with scans to learn take the next one, or search for another
+        place; → the number of samples used; None where no verdict is due."""
+        behind = self._behind()
+        if behind:
+            belief = self.beliefs[behind[0]]
+            if behind[0] in self.ruled_out or not len(belief.memory):
+                self.ruled_out.discard(behind[0])
+                samples = belief.adopt(self.belief.memory)
             else:
-                self._used += belief.take(later.pop(0))[0]
-            if later:
-                return 0
-            del self.due[0]
-            samples, self._used = self._used, 0
+                samples = belief.take(belief.pending.popleft())[0]
+            if belief.pending:
+                return None
         else:
             opens = self._opens()
             samples = 0 if opens is None else self.beliefs[opens].search()
-        if samples:
-            self._weigh()
-        return samples
+            if not samples:
+                return None
+        self._weigh()
+        return None if self.is_behind else samples
 
     def _by_odds(self) -> list[int]:
         """All objects, the likeliest first."""
         return sorted(range(len(self.beliefs)), key=lambda k: -self.odds.objects[k])
+
+    def _behind(self) -> list[int]:
+        """The objects with scans to learn, the likeliest first."""
+        return [k for k in self._by_odds() if self.beliefs[k].pending]
 
     def _opens(self) -> int | None:
         """The likeliest followed object whose belief is to be searched."""
@@ -204,26 +198,26 @@ class Bank:
 
     def _weigh(self) -> None:
         """Find how likely each object is, which ones to follow, and which are ruled out."""
-        best, untried = self.belief.evidence, set(self.due) - self.ruled_out
-        # an object that is yet to be tried is as likely as it was, in relation to the best
-        each = [
-            belief.evidence.shifted(best, self._best_before[k]) if k in untried else belief.evidence
-            for k, belief in enumerate(self.beliefs)
-        ]
+        best, each = self.belief, [belief.evidence for belief in self.beliefs]
         if not self._touches:
-            each = [best] * len(each)
+            each = [best.evidence] * len(each)
+        current = {k for k, belief in enumerate(self.beliefs) if not belief.pending}
+        current -= self.ruled_out
+        for k in set(range(len(each))) - current:  # as likely as it was, beside the best
+            ratio = max(self.beliefs[k].share, LEAST_SHARE) / best.share
+            each[k] = each[k].shifted(best.evidence.log_z + math.log(ratio))
         self.odds = odds(each)
         if len(each) == 1:
             return
-        tried = [k for k in self._by_odds() if k not in untried]
-        if self._touches:
-            self._followed, self.best = tried[:FOLLOWED], tried[0]
-        if self._touches > 1:
-            self.ruled_out = {k for k in tried[1:] if self.odds.objects[k] < RULED_OUT}
-            self._followed = [k for k in self._followed if k not in self.ruled_out]
         any_known = float(np.logaddexp.reduce([one.log_z for one in each])) - np.log(len(each))
         share = self.odds.objects / self.odds.objects.sum()
         for k, belief in enumerate(self.beliefs):
             belief.share = float(share[k])
-            if k not in untried:  # another object may have been here before
+            if k in current:  # another object may have been here before
                 belief.log_z = float(np.logaddexp(each[k].log_z, any_known + SWAPPED))
+        learned = [k for k in self._by_odds() if k in current]
+        if self._touches > 1:
+            self.ruled_out |= {k for k in learned[1:] if self.odds.objects[k] < RULED_OUT}
+        if self._touches:
+            self.best = learned[0]
+            self._followed = [k for k in learned[:FOLLOWED] if k not in self.ruled_out]

@@ -139,7 +139,7 @@ class Estimator:
             self.bank.take(self._reader.read(observation, number))
             while self.bank.is_behind:
                 self.bank.revisit()
-        while self.bank.is_open and self.bank.revisit():
+        while self.bank.is_open and self.bank.revisit() is not None:
             pass
         self._contacts = max((number for _, number in scans), default=0)
         self._taught = [self._contacts] * len(self._taught)  # the skin has its lessons of these
@@ -168,16 +168,17 @@ class Estimator:
         return self.bank.is_behind or (self._is_unconsidered and self.bank.is_open)
 
     def think(self) -> bool:
-        """After a scan that told nothing new, search by earlier contacts; → whether the estimate
-        has changed."""
+        """Have another object learn the next scan that waits; or, after a scan with nothing new,
+        search by earlier contacts; → whether the estimate has changed."""
         is_due, self._is_unconsidered = self._is_unconsidered or self.bank.is_behind, False
         if not is_due:
             return False
         samples = self.bank.revisit()
-        if samples:
-            self.counters.thoughts += 1
-            self._conclude(samples)
-        return samples > 0
+        if samples is None:
+            return False
+        self.counters.thoughts += 1
+        self._conclude(samples)
+        return True
 
     @property
     def _t(self) -> float:

@@ -92,11 +92,10 @@ class ObjectEvidence(NamedTuple):
         """Log evidence of this object, wherever it is."""
         return max(self.found, 0.0) if self.is_first else float(np.logaddexp(self.found, self.gone))
 
-    def shifted(self, best: "ObjectEvidence", before: float) -> "ObjectEvidence":
-        """This evidence as long as the newest contact is not weighed for this object: the best
-        object's log evidence was `before` then."""
-        by = best.log_z - before
-        return best._replace(found=self.found + by, gone=self.gone + by, other=np.empty(0))
+    def shifted(self, log_z: float) -> "ObjectEvidence":
+        """The same with this `log_z`, as long as newer contacts are not weighed for the object."""
+        by = log_z - self.log_z
+        return self._replace(found=self.found + by, gone=self.gone + by, other=np.empty(0))
 
 
 UNTOUCHED = ObjectEvidence(0.0, -np.inf, np.empty(0), 1.0)  # nothing speaks against the object

@@ -213,14 +213,11 @@ class Memory:
         known = [each.log_density(poses) for each in self.priors]
         return Explained(met, np.array(known).reshape(len(known), len(poses)).T)
 
-    def explain_next(self, scan: ScanEvidence, poses: Poses) -> Floats:
-        """log p(scan | pose) of a scan that comes next: poses (N, 3) → (N,)."""
-        seen, age = scan.observation, np.array([max(self.newest - scan.number, 0)])
-        variance = self.offsets.of(age) + seen.place_sd_m**2
-        explain = self.skin.explainers[seen.link].of(
-            [self.skin.column(scan)], seen.sensor[None], variance, np.array([not scan.is_contact])
-        )
-        return np.asarray(explain(poses)[:, 0] + scan.untouched)
+    def explain_newest(self, poses: Poses) -> Floats:
+        """log p(scan | pose) of the newest scan: poses (N, 3) → (N, 1)."""
+        scans, columns = self.scans[-1:], self.columns[-1:]
+        alone = replace(self, scans=scans, columns=columns, earlier=None, prior=None)
+        return alone.explain(poses).scans
 
     @cached_property
     def _explained(self) -> list[tuple[NDArray[np.intp], Explain]]:

@@ -70,11 +70,10 @@ class ObjectBelief:
         self.log_z = 0.0  # log evidence of all that is remembered, in relation to readings alone
         self.share = 1.0  # probability of its object among those that it may be
         self.push: Push = push
-        self._scale = self.metric.scale
         self._evidence = ModelEvidence(model, self.metric)
         self._confidence = Confidence.UNSURE
         self._searches = 0  # since the last contact
-        self._weigh()
+        self.evidence, self._alone = UNTOUCHED, odds([UNTOUCHED])
         self._take_place(self._placed())
 
     def follow(self, before: Observation, after: Observation) -> None:
@@ -115,11 +114,10 @@ class ObjectBelief:
         if before.offsets.nudge_m and is_first:
             explained = memory.explain(particles.pose)
         else:
-            newest = before.explain_next(scan, particles.pose)
+            known, newest = particles.explained, memory.explain_newest(particles.pose)
             if not scan.is_contact and scan.background - newest.min() < TELLING:
                 return 0, 0.0
-            known = particles.explained
-            explained = known._replace(scans=np.column_stack([known.scans, newest]))
+            explained = known._replace(scans=np.hstack([known.scans, newest]))
         self.memory = memory
         evidence = self._reweight(before, explained)
         if evidence is None:
@@ -131,8 +129,8 @@ class ObjectBelief:
                 self._searches = 0
                 drawn = self._importance_samples(samples, len(self.memory) - 1)
                 self._become(self._merged(drawn) if self._has_more or memory.priors else drawn)
-                if is_first:
-                    self._fit_offsets()
+                if is_first and self._fit_offsets():
+                    self._become(self.particles)
             elif pf.resampling_is_due(particles):
                 self._become(particles)
         # silence that the belief expected changes no verdict, and before a touch there is none
@@ -259,23 +257,18 @@ class ObjectBelief:
     def _judge(self, *, has_looked: bool) -> None:
         """Weigh the hypotheses, and find how sure the belief is. `has_looked`: whether samples of
         another contact were merged."""
-        self._weigh()
-        self.log_z = self.evidence.log_z if len(self.memory) else self.log_z
+        self.evidence = UNTOUCHED
+        if len(self.memory):
+            self.evidence = self._evidence.weighed(self.particles, self.memory.runs)
+            self.log_z = self.evidence.log_z
+        self._alone = odds([self.evidence])
         before, now, was = self.place, self._placed(), self._confidence
         is_sure = float(self._alone.here[0]) * now.within >= SURE
         apart = self.metric.distance(before.modes[0].pose, now.modes[0].pose)
-        stays = was > Confidence.UNSURE and bool(apart < MODE_RADIUS_M * self._scale)
+        stays = was > Confidence.UNSURE and bool(apart < MODE_RADIUS_M * self.metric.scale)
         is_searched = stays and (has_looked or was is Confidence.SEARCHED)
         self._confidence = Confidence(is_sure * (1 + is_searched))
         self._take_place(now)
-
-    def _weigh(self) -> None:
-        """Find the evidence of this object, and its odds were it the only one known."""
-        if len(self.memory):
-            self.evidence = self._evidence.weighed(self.particles, self.memory.runs)
-        else:
-            self.evidence = UNTOUCHED
-        self._alone = odds([self.evidence])
 
     def _placed(self) -> Place:
         """Where the particles have the object."""
@@ -286,13 +279,13 @@ class ObjectBelief:
         found = 1.0 if self._confidence is Confidence.SEARCHED else 1.0 - MISSED
         self.place = replace(place, within=found * place.within)
 
-    def _fit_offsets(self) -> None:
+    def _fit_offsets(self) -> bool:
         """Fit the variance of offsets to the evidence: contacts that agree exactly are believed
-        exactly, others get more room. Each contact moves it by one step."""
+        exactly, others get more room. Each contact moves it by one step; → whether it does."""
         memory, particles = self.memory, self.particles
         now = memory.offsets
         if not (now.robot_m or now.nudge_m):
-            return
+            return False
         at = int(np.flatnonzero(now.scale == SCALES)[0])
         others = [scale for scale in SCALES[max(at - 1, 0) : at + 2].tolist() if scale != now.scale]
         tried = [replace(memory, offsets=replace(now, scale=scale)) for scale in others]
@@ -301,10 +294,11 @@ class ObjectBelief:
         gains = [support(each.explain(particles.pose[some])) - known[some] for each in tried]
         gained = [pf.log_sum_exp(gain) - np.log(len(gain)) for gain in gains]
         best = int(np.argmax(gained))
-        if gained[best] > FITTED_NATS:
+        is_better = gained[best] > FITTED_NATS
+        if is_better:
             self.memory = tried[best]
             self._reweight(memory, self.memory.explain(particles.pose))
-            self._become(particles)
+        return bool(is_better)
 
     def _begin_anew(self, scan: ScanEvidence, samples: Poses) -> None:
         """Begin with the samples (S, 3) of a contact, or with poses everywhere."""
@@ -331,15 +325,15 @@ class ObjectBelief:
         # around the last touch, as the sensor may have gone elsewhere since
         centre = np.array(self._config.centre_m) if touch is None else touch
         room = pf.Room(centre, ROOM * self._config.half_width_m)
-        support = memory.runs.support
-        pf.rejuvenate(self.particles, memory.explain, support, self._rng, self._scale, room)
+        by = memory.runs.support
+        pf.rejuvenate(self.particles, memory.explain, by, self._rng, self.metric.scale, room)
 
     def _size(self, particles: Particles) -> int:
         config = self._config
         if self._most <= config.particles:
             return config.particles
         drawn = pf.resample(particles, config.particles, self._rng)
-        cell = pf.CELL * [self._scale, self._scale, 1.0]
+        cell = pf.CELL * [self.metric.scale, self.metric.scale, 1.0]
         wanted = pf.enough(pf.occupied(self.metric.reduced(drawn.pose), cell))
         return min(max(wanted, config.particles), self._most)
 
