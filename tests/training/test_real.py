@@ -18,7 +18,7 @@ from taxeld_hil.grade.grade import grade
 from taxeld_hil.grade.session import PUBLISHED, Run, add
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_training.cli import main
-from taxeld_training.evaluation import real, real_picture
+from taxeld_training.evaluation import real
 from taxeld_training.evaluation.real import Arm
 from tests.rig import real_skin
 from tests.rig.commands import printed, refused, refuses
@@ -80,22 +80,11 @@ def test_the_question_is_answered_by_recordings(folder: Path, tmp_path: Path) ->
     where = ["--out", str(tmp_path), "--memory", str(tmp_path / "memory"), "--workers", "1"]
     asked = ["evaluate", "real", "--quick", "--seeds", "1", "--data", str(folder)]
     assert main([*asked, *where]) == 0
-    assert (tmp_path / "real-skin.png").exists()
     rows = json.loads((tmp_path / "real.json").read_text("utf-8"))["rows"]
     all_of = {tuple(row["of"].values()): row for row in rows if [*row["of"]] == KINDS}
     both, wrong = all_of["both", "known", "none"], all_of["one", "stranger", "none"]
     assert len(both["identity"]) == len(both["covered"]) == 12
     assert wrong["found"] == [0] * 12
-
-
-def test_the_picture_is_small_and_drawn_again_with_the_same_bytes(
-    folder: Path, tmp_path: Path
-) -> None:
-    first, again = tmp_path / "a.png", tmp_path / "b.png"
-    for path in (first, again):
-        real_picture.draw(folder, path)
-    assert 5_000 < first.stat().st_size < 300_000
-    assert first.read_bytes() == again.read_bytes()
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:

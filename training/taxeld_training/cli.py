@@ -141,7 +141,7 @@ COMMANDS: dict[Run, Arguments] = {
     _scene: (
         given("object", "OBJECT", OBJECT),
         *_of_skin(),
-        given("--png", "OUT", "draw the object, the skin's heights and the slices", Path),
+        given("--png", "OUT", "draw the object and the skin's heights", Path),
     ),
     _build: (
         given("object", "OBJECT", OBJECT, nargs="+"),

@@ -11,7 +11,7 @@ the part's upright, are taken to stand upright, and their heights are rounded to
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
@@ -235,21 +235,8 @@ def arms_of(folder: Path) -> dict[str, Arm]:
 
 def play(arm: Arm, variant: Variant, seed: int) -> list[Touch]:
     """The estimate after each touch of a part; where half B has fewer poses the last one stands."""
-    touched, _, tilt, _, touches = variant
-    truth, _ = arm.recordings[touched].drawn(tilt, seed)
-    model, found = arm.known[touched].model, list[Touch]()
-    for estimator in followed(arm, variant, seed):
-        now = estimator.estimate
-        is_right = estimator.known[now.object].model is model
-        error_m = add_m(model.scene, now.map, truth)[1] if is_right else math.nan
-        found.append(touch_of(now, now.p, 1e3 * error_m))
-    return found + found[-1:] * (touches - len(found))
-
-
-def followed(arm: Arm, variant: Variant, seed: int) -> Iterator[Estimator]:
-    """The estimator of a trial after each touch."""
     touched, known, tilt, prior, touches = variant
-    recording = arm.recordings[touched]
+    recording, model, found = arm.recordings[touched], arm.known[touched].model, list[Touch]()
     truth, at = recording.drawn(tilt, seed)
     at = at[:touches]
     first, *more = (arm.known[part] for part in known)
@@ -263,7 +250,11 @@ def followed(arm: Arm, variant: Variant, seed: int) -> Iterator[Estimator]:
     for k, (on, sensor, band) in enumerate(zip(recording.on[at], sensors, bands, strict=True)):
         for s in PRESSED_S + RELEASED_S:
             estimator.on_scan(arm.activation(k + s, on & (s in PRESSED_S), band), sensor)
-        yield estimator
+        now = estimator.estimate
+        is_right = estimator.known[now.object].model is model
+        error_m = add_m(model.scene, now.map, truth)[1] if is_right else math.nan
+        found.append(touch_of(now, now.p, 1e3 * error_m))
+    return found + found[-1:] * (touches - len(found))
 
 
 def trials(folder: str, arm: str, variant: Variant, seeds: Sequence[int]) -> list[Any]:

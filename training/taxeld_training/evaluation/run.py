@@ -58,10 +58,8 @@ def answer(names: Sequence[str], asked: Selection, workers: Workers, out: Path) 
         yield str(_records(done, workers.memory / f"{question.name}.jsonl"))
         for name in question.charts:
             from taxeld_sim.answers import charts  # noqa: PLC0415  (matplotlib)
-            from taxeld_training.evaluation import real_picture  # noqa: PLC0415
 
-            draw: Any = real_picture.draw if question.tilts else charts.CHARTS[name]
-            draw(asked.data if question.tilts else rows, out / f"{name}.png")
+            charts.CHARTS[name](rows, out / f"{name}.png")
             yield str(out / f"{name}.png")
 
 

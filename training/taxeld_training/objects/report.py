@@ -56,9 +56,8 @@ def lines(name: str, layout: str, height_m: float, png: Path | None) -> Iterator
     if png:
         from taxeld_training.objects import picture  # noqa: PLC0415  (an extra)
 
-        title = f"{name} on {skin.name}\n{UPRIGHT}"
         try:
-            picture.draw(mesh, cut, skin, height_m, title, png)
+            picture.draw(mesh, height_m + cut.heights, f"{name} on {skin.name}", png)
         except OSError as fault:
             raise SetupError(f"--png: cannot write {png} ({fault.strerror})") from None
 
