@@ -28,6 +28,8 @@ from taxeld.service.clock import Ready
 from taxeld.service.loop import GATHERS, Daemon
 from taxeld.service.notify import Notifier
 from taxeld.stream import messages, topics
+from taxeld_hil.run.fake import FakeRun
+from taxeld_hil.scenario.scenario import Scenario
 from taxeld_protocol.decoder import Scan
 from tests.rig.clocks import PATIENCE_S, Clock, until
 from tests.rig.configurations import Table, config, served
@@ -330,15 +332,12 @@ def daemon_of(place: Path, **tables: Table) -> Daemon:
 
 @pytest.mark.check
 def test_a_skin_that_starts_with_the_vendors_pauses_is_not_warned_of(
-    tmp_path: Path, hub: Hub, caplog: pytest.LogCaptureFixture
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    daemon = daemon_of(tmp_path)
-
-    def ends() -> bool:
-        hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
-        return hub.scans > 20
-
-    daemon.run(ends)
+    run = FakeRun(Scenario("box", contacts=1, physics="scene"), 0)
+    run.run(lambda: run.machine.now > 2.0)
+    assert run.daemon is not None
+    assert run.daemon.inputs.sources[0].decoder.stats()["scans"] > 0
     assert [line for line in caplog.messages if line.startswith("status: ")] == []
 
 

