@@ -153,7 +153,7 @@ def test_while_nothing_is_touched_no_reading_rises(
     depth_m[:, taxels] = np.where(on, rng.uniform(0.0, 0.006, on.shape), 0.0)
     left = iter(depth_m / 0.005)
 
-    def pressed_next(_seen: Poses, _sag_m: Floats) -> Floats:
+    def pressed_next(_seen: Poses, _sag_m: Floats, _turn: Floats) -> Floats:
         return next(left, np.zeros(len(SKIN)))
 
     skin = SimulatedSkin(Conditions(foam=name), SKIN, MODULES, pressed_next, rng)

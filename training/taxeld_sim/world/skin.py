@@ -49,7 +49,7 @@ def exact(model: ObservationModel) -> Body:
     # the farthest that a taxel touches; a mug's handle is no part of its outline
     reach_m = float(np.hypot(*np.abs(model.scene.extent).max(axis=0))) + model.layout.radius_m
 
-    def pressed(seen: Poses, _sag_m: Floats, _turn: Floats) -> Floats:
+    def pressed(seen: Poses, _sag_m: Floats, _turn: Floats = UPRIGHT) -> Floats:
         near = seen[np.hypot(seen[:, 0], seen[:, 1]) <= reach_m]  # of most of a path there is none
         if not len(near):
             return np.zeros(len(model.layout))
@@ -223,7 +223,7 @@ class SimulatedSkin:
             answers=self._answers,
         )
 
-    def press(self, seen: Poses, t: float, turn: Floats) -> Floats:
+    def press(self, seen: Poses, t: float, turn: Floats = UPRIGHT) -> Floats:
         """(M,) counts of presses, with objects at poses (K, 3) in the upright sensor frame, in
         which the link is turned by `turn` (3, 3), at t [s]; times do not go back."""
         was_pressed = self.depth.any()
