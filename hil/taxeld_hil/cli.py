@@ -150,8 +150,7 @@ def _matrix(args: argparse.Namespace) -> int:
     objects, foams = args.object or MATRIX_OBJECTS, args.foam or MATRIX_FOAMS
     layouts = jobs.layouts(args.layout)
     todo = runs.matrix(names, objects, foams, args.seeds, layouts, args.random or 0)
-    memory, workers = jobs.MEMORY, args.workers
-    done = jobs.run(todo, memory, workers=workers, describe=runs.described)
+    done = jobs.run(todo, jobs.MEMORY, workers=args.workers, describe=runs.described)
     rows = [done[job.name] for job in todo]
     jobs.save(args.out / "scenarios.json", "runs", rows, {})
     passed = sum(row["passed"] for row in rows)

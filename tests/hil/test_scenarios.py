@@ -149,8 +149,12 @@ def test_in_real_time_nothing_is_lost_without_being_counted(
 def test_what_was_recorded_on_hardware_is_graded_by_its_replay(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The emulator stands in for the hardware, and serves until it is stopped."""
-    skin_toml = 'bundle = "box"\nphysics = "scene"\ncontacts = 6\nrest_s = 600.0\n'
+    """The emulator stands in for the hardware, and serves until it is stopped; its robot falls
+    silent first."""
+    skin_toml = (
+        'bundle = "box"\nphysics = "scene"\ncontacts = 6\nrest_s = 600.0\n'
+        'fault = [{kind = "pose_silent", at_s = 25.0, for_s = 500.0}]\n'
+    )
     (tmp_path / "skin.toml").write_text(skin_toml, encoding="utf-8")
     link, poses = tmp_path / "skin", f"ipc://{tmp_path}/poses"
     emulate = ["emulate", str(tmp_path / "skin.toml"), "--link", str(link), "--poses", poses]

@@ -3,9 +3,12 @@
 from array import array
 from pathlib import Path
 
+import numpy as np
+
 from taxeld.commands.replay import Replay
 from taxeld.errors import SetupError
 from taxeld.model.scene import Scene
+from taxeld.pipeline.freshness import Why
 from taxeld.stream import messages
 from taxeld_hil.grade import session
 from taxeld_hil.grade.session import Reception, Run
@@ -34,5 +37,7 @@ def replayed(directory: Path) -> tuple[Run, Reception, Scene]:
     known = config.scene.names
     scenario = Scenario(known[0], known, config.skin.layout)
     run = Run(directory.name, config.filter.seed, "replayed", scenario, t - began_s, [])
-    got = Reception(session.estimates(rows, len(config.names)), [])
-    return run, got, recorded.model.scene
+    found = session.estimates(rows, len(config.names))
+    # a robot may fall silent before the recording ends: what comes then has no pose
+    found = found[: 1 + max(np.flatnonzero(found.why != Why.NO_POSE), default=len(found))]
+    return run, Reception(found, []), recorded.model.scene

@@ -18,7 +18,6 @@ from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS
 from taxeld_sim.objects import meshes, scenes
 
-UPRIGHT = "the link's axis must be vertical (within 0.1 rad), and the object stand as its mesh does"
 LARGE_M = 1.0  # an object that is larger is probably not in metres
 NEAR_M = 0.003  # vertices so near the lowest one carry the object: a scanned flat base is not flat
 TIPS_M = 0.002  # an object tips over whose centre is so far outside the area that carries it
@@ -44,7 +43,10 @@ def lines(name: str, layout: str, height_m: float, png: Path | None) -> Iterator
     cut = scenes.build(mesh, skin, height_m)
     heights = (height_m + cut.heights) * 1e3
     met = sum(bool((piece < 0.0).any()) for piece in cut.slices)
-    yield f"upright     {UPRIGHT}"
+    yield (
+        "upright     the link's axis must be vertical (within 0.1 rad), and the object stand as "
+        "its mesh does"
+    )
     yield f"extents     {' × '.join(f'{length * 1e3:.0f}' for length in mesh.extents)} mm"
     yield (
         f"slices      {len(heights)}, {heights[0]:.0f} to {heights[-1]:.0f} mm above the lowest "
